@@ -90,7 +90,7 @@ def ticks(scene: Scene, e: str) -> Callable[[], None]:
 
     def call() -> None:
         zero = tuple([0.0] * scene.axes)
-        end = make(prepared.given, law, scene.dt, zero, zero, zero)
+        end = make(prepared.numbers, law, scene.dt, zero, zero, zero)
         next(end)
         send = end.send
         for each in given:

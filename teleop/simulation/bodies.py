@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 WHOLE = 3_600_000  # ticks, an hour at 1 kHz: so much of a reference that is sampled as a whole, before a run begins
 
 
-class Held(NamedTuple):
+class BodyNumbers(NamedTuple):
     """The coefficients of the bodies, and their inner states at the first tick."""
 
     c_m: tuple[Any, ...]  # for each axis
@@ -29,7 +29,7 @@ class Held(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """What moves between two ticks of a run in virtual time."""
+    """Bodies that move between two ticks of a run in virtual time."""
 
     master: tuple[Any, ...]  # the coefficients of the master's motion and of its grip's force, for each axis
     slaves: list[Plant]  # for each axis; none in a scene without a slave
@@ -39,13 +39,13 @@ class Bodies(NamedTuple):
     method: str = ""  # METHOD:N of a fixed-step method with N sub-steps a tick; empty: the scene's own steps
 
     def functions(self) -> dict[str, Any]:
-        """What the text of a run names of the bodies, by those names."""
-        own = {f"move_s{i}": plant.move for i, plant in enumerate(self.slaves)}
-        return {**own, **{f"force_s{i}": plant.force for i, plant in enumerate(self.slaves)}, **self.instead}
+        """Functions of the bodies, by the names that the text of a run has for them."""
+        moves = {f"move_s{i}": plant.move for i, plant in enumerate(self.slaves)}
+        return {**moves, **{f"force_s{i}": plant.force for i, plant in enumerate(self.slaves)}, **self.instead}
 
-    def held(self) -> Held:
+    def numbers(self) -> BodyNumbers:
         """The numbers that it begins with."""
-        return Held(self.master, self.inner_m, tuple([plant.c for plant in self.slaves]),
+        return BodyNumbers(self.master, self.inner_m, tuple([plant.c for plant in self.slaves]),
                     tuple([plant.start for plant in self.slaves]))
 
 
@@ -57,10 +57,10 @@ def exact_bodies(scene: Scene, slaves: list[Plant] | None = None) -> Bodies:
     slaves = slave_plants(scene) if slaves is None else slaves
     if not master_has_inner(scene):
         return Bodies(master_coefficients(scene), slaves)
-    held = held_masters(scene)
-    functions = {"move_held": held[0].move, "held_force": held[0].force}
-    return Bodies(tuple([each.c for each in held]), slaves, functions, tuple([each.start for each in held]),
-                  held[0].report)
+    masters = held_masters(scene)
+    functions = {"move_held": masters[0].move, "held_force": masters[0].force}
+    return Bodies(tuple([each.c for each in masters]), slaves, functions, tuple([each.start for each in masters]),
+                  masters[0].report)
 
 
 def master_has_inner(scene: Scene) -> bool:
@@ -86,18 +86,18 @@ def master_coefficients(scene: Scene) -> tuple[Any, ...]:
 
 
 def _by_axis(scene: Scene, make: Callable[[MassDamper, tuple[float, float, float] | None], Any]) -> tuple[Any, ...]:
-    """What `make` makes of the master's body and the mass, stiffness and damping of the hand, for each axis.
+    """Call `make` with the master's body and the mass, stiffness and damping of the hand, for each axis.
 
     None in place of these in a scene without a hand. What is the same on several axes is made once.
     """
-    held = scene.reference is not None
+    masters = scene.reference is not None
     made: dict[tuple[int, int], Any] = {}
     keys = []
     for body, hand in zip(scene.per_axis("master"), scene.per_axis("hand"), strict=True):
         keys.append((id(body), id(hand)))
         if keys[-1] not in made:
-            own = (0.0, 0.0, 0.0) if hand is None else (hand.mass, hand.k, hand.d)
-            made[keys[-1]] = make(body, own if held else None)
+            moves = (0.0, 0.0, 0.0) if hand is None else (hand.mass, hand.k, hand.d)
+            made[keys[-1]] = make(body, moves if masters else None)
     return tuple([made[key] for key in keys])
 
 
@@ -106,16 +106,16 @@ def held_masters(scene: Scene) -> tuple[Plant, ...]:
     dt = scene.dt_ns / 1e9
 
     def plant(body: MassDamper, hand: tuple[float, float, float] | None) -> Plant:
-        held = hand or (0.0, 0.0, 0.0)
+        masters = hand or (0.0, 0.0, 0.0)
         if scene.electrical is None:
             from teleop.physics.implicit import implicit_master
 
-            return implicit_master(body, *held, dt, friction=body.friction, tol=scene.tolerance)
+            return implicit_master(body, *masters, dt, friction=body.friction, tol=scene.tolerance)
         from teleop.physics.relaxing import relaxing_master
 
         if body.friction > 0.0:
             raise Refused("friction of the master and electrical damping do not go together yet; leave one of them out")
-        return relaxing_master(body, *held, dt, b_e=scene.electrical.b, cutoff=scene.electrical.cutoff)
+        return relaxing_master(body, *masters, dt, b_e=scene.electrical.b, cutoff=scene.electrical.cutoff)
 
     return _by_axis(scene, plant)
 
@@ -183,7 +183,7 @@ def _force_beside(force: Force, c: Any, x: float, v: float, z: Any) -> float:  #
 
 
 def reference_samples(scene: Scene) -> tuple[Sequence[float], ...] | None:
-    """Where the hand wants to be, per axis, at the ticks 0 .. n: one more than the run has."""
+    """Reference positions of the hand, per axis, at the ticks 0 .. n: one more than the run has."""
     reference = scene.reference
     return None if reference is None else reference.samples(scene.axes, scene.ticks + 1, scene.dt_ns)
 

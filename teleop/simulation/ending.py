@@ -31,7 +31,7 @@ class GrowthNote(str):
 
 
 class Ending(NamedTuple):
-    """How a run ended."""
+    """Ending of a run: its status, its sentence and its notes."""
 
     status: str  # ok, limit cycle, unstable or diverged
     sentence: str
@@ -40,7 +40,7 @@ class Ending(NamedTuple):
 
 
 def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: str) -> Ending:
-    """How a run ended that came to its end, as `sentence` says; `trip`: the round trip of its link, ticks.
+    """Judge a run that came to its end, as `sentence` says; `trip`: the round trip of its link, ticks.
 
     Where nothing moves the scene any more the status goes by what is left, see `teleop.simulation.rest`; where the hand
     moves to the end, and where there was no time for a verdict, a note says if the motion grows.
@@ -62,7 +62,7 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
         does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} {unit} before)"
         hertz = at_rest.get("swing_frequency") or pitch(motion, still.window, scene.dt)
         sentence = (f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} {unit} peak to peak; to see what becomes of "
-                    f"it: teleop stability {typed(scene, '--time')}")
+                    f"it: teleop stability {scene_arguments(scene, '--time')}")
     return Ending(status, sentence, at_rest)
 
 
@@ -100,19 +100,19 @@ def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
     paths = [*(prepared.reference or ()), *carried]
     way = max([float(np.ptp(path)) for path in paths], default=0.0)
     with np.errstate(all="ignore"):  # forces and ways may be so large that no float holds their work
-        given, put_in = -_port(trace), _will(prepared, trace)
-    if swung[-1] <= BEYOND * way + OWN or not given > put_in:
+        given_out, put_in = -_port(trace), _will(prepared, trace)
+    if swung[-1] <= BEYOND * way + OWN or not given_out > put_in:
         return []
     unit = position_unit(scene)
     return [GrowthNote(
         f"the motion still grows at the end: a swing of {swung[-1]:.3g} {unit} peak to peak in the last eighth of "
         f"the run and of {swung[0]:.3g} {unit} half a run before, where the hand's reference moves over {way:.3g} "
-        f"{unit}; law and link have given out {given:.3g} J (E_port), the hand has put in {put_in:.3g} J; to see "
-        f"whether the loop is stable: teleop stability {typed(scene)}")]
+        f"{unit}; law and link have given out {given_out:.3g} J (E_port), the hand has put in {put_in:.3g} J; to see "
+        f"whether the loop is stable: teleop stability {scene_arguments(scene)}")]
 
 
 def _port(trace: Mapping[str, Any]) -> float:
-    """What law and link have taken up at both ends (J): each force with the motion that it was held over."""
+    """Energy (J) that law and link have taken up at both ends: each force with the motion that it was held over."""
     import numpy as np
 
     def work(f: str, x: str) -> float:
@@ -122,7 +122,7 @@ def _port(trace: Mapping[str, Any]) -> float:
 
 
 def _will(prepared: Prepared, trace: Mapping[str, Any]) -> float:
-    """What the hand's own will put in (J): the work of its force along its reference, where that is positive."""
+    """Energy (J) that the hand's own will put in: the work of its force along its reference, where that is positive."""
     import numpy as np
 
     if prepared.reference is None:
@@ -133,13 +133,13 @@ def _will(prepared: Prepared, trace: Mapping[str, Any]) -> float:
     return float(work[work > 0.0].sum())
 
 
-def typed(scene: Scene, *options: str) -> str:
+def scene_arguments(scene: Scene, *options: str) -> str:
     """A scene as it is typed: its name, the knobs that are not as it has them by itself, and more options.
 
     Where the file of a scene lies its name does not say.
 
     >>> from teleop import load_scene
-    >>> typed(load_scene("hard_wall", law="direct", delay=0.1))
+    >>> scene_arguments(load_scene("hard_wall", law="direct", delay=0.1))
     'hard_wall --set law=direct --set delay=0.1'
     """
     from dataclasses import fields
@@ -151,23 +151,23 @@ def typed(scene: Scene, *options: str) -> str:
 
     if scene.name not in known_scenes():
         return " ".join([f"{scene.name}.py", *options]) + ", with its path and the --set of the run"
-    own = knobs_of(scene_function(scene.name))
-    said = [scene.name]
+    knobs = knobs_of(scene_function(scene.name))
+    words = [scene.name]
     value: Any
     for key, value in scene.knobs.items():
-        usual = own[key].default if key in own else None
+        usual = knobs[key].default if key in knobs else None
         if key == "law" and value != usual:
             if type(value) is not type(usual):
                 name = law_name(value) if is_built_in(value) else _file(type(value))
-                said.append(f"--set law={quote(name)}")
+                words.append(f"--set law={quote(name)}")
                 usual = read_law(name, usual) if is_built_in(value) else type(value)()
-            said += [f"--set law.{each.name}={getattr(value, each.name)}" for each in fields(value)
+            words += [f"--set law.{each.name}={getattr(value, each.name)}" for each in fields(value)
                      if getattr(value, each.name) != getattr(usual, each.name)]
         elif value != usual:
             text = ",".join(map(str, value)) if isinstance(value, tuple) else "none" if value is None else str(value)
             text = as_typed(value) if isinstance(value, Playout) else text
-            said.append(f"--link {quote(text)}" if key == "link" else f"--set {key}={quote(text)}")
-    return " ".join([*said, *options])
+            words.append(f"--link {quote(text)}" if key == "link" else f"--set {key}={quote(text)}")
+    return " ".join([*words, *options])
 
 
 def _file(kind: type[Any]) -> str:
@@ -184,7 +184,7 @@ if TYPE_CHECKING:
 
 def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, trip: int
             ) -> Ending:
-    """How a run ended. `end` is None, or the positions that left the bounds; `trip`: the round trip of its link, ticks.
+    """Judge a run. `end` is None, or the positions that left the bounds; `trip`: the round trip of its link, ticks.
 
     What is not finite anywhere in the trace is a divergence, even of a run that came to its end.
     """
@@ -238,17 +238,17 @@ def integration(scene: Scene, bodies: Bodies, inner: tuple[tuple[Any, ...], tupl
     `inner`: the inner states that each end's bodies ended with, per axis.
     """
     reports = {"master": [bodies.report_m] * scene.axes, "slave": [plant.report for plant in bodies.slaves]}
-    found = {}
+    reports_by_end = {}
     for (end, each), states in zip(reports.items(), inner, strict=True):
         axes = [report(z) for report, z in zip(each, states, strict=False) if report is not None]
         names = {name for one in axes for name in one}
         if names:
-            found[end] = {name: max(one[name] for one in axes if name in one) for name in sorted(names)}
-    return {"integration": found} if found else {}
+            reports_by_end[end] = {name: max(one[name] for one in axes if name in one) for name in sorted(names)}
+    return {"integration": reports_by_end} if reports_by_end else {}
 
 
 def over_tolerance(reports: dict[str, Any], unit: str) -> list[str]:
     """The notes on the ends whose integration was not within the scene's tolerance (`unit`: m or rad) at every tick."""
-    return [f"{number_of(over, 'tick')} of the {end} {plural(over, 'is', 'are')} not within {own['tolerance']:g} "
+    return [f"{number_of(over, 'tick')} of the {end} {plural(over, 'is', 'are')} not within {report['tolerance']:g} "
             f"{unit}: the figures may be off by the estimates and by what the loop makes of them; a smaller dt may help"
-            for end, own in reports.get("integration", {}).items() if (over := own.get("ticks_over_tolerance"))]
+            for end, report in reports.get("integration", {}).items() if (over := report.get("ticks_over_tolerance"))]

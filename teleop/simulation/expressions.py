@@ -37,7 +37,7 @@ Value = Known | ast.expr
 Node = TypeVar("Node", bound=ast.AST)
 
 
-class Frame:
+class CallFrame:
     """A function that is being written out: what its names stand for."""
 
     def __init__(self, function: FunctionType, suffix: str = "", place: Location | None = None) -> None:
@@ -74,7 +74,7 @@ class Expressions:
         self.masks: list[str] = []  # variables with the conditions of the branches around a line, of lanes
         self.uniform: set[str] = set()  # variables that are the same in all lanes
         self.tuple_classes: set[str] = set()  # names of a scene's classes of messages and states
-        self.entry = Frame(entry)
+        self.entry = CallFrame(entry)
         self.file = entry.__code__.co_filename
         self.frames = [self.entry]
         self.out: list[ast.stmt] = []
@@ -86,7 +86,7 @@ class Expressions:
         self.whole: ast.expr | None = None  # the expression that is all of a statement's value
 
     @property
-    def frame(self) -> Frame:
+    def frame(self) -> CallFrame:
         """The function whose lines are being written."""
         return self.frames[-1]
 
@@ -94,24 +94,24 @@ class Expressions:
     def definition(self, function: FunctionType) -> ast.FunctionDef:
         """The lines of a function."""
         code = function.__code__
-        found = functions_in(function.__module__, code.co_filename).get((code.co_name, code.co_firstlineno))
-        if found is None:
+        result = functions_in(function.__module__, code.co_filename).get((code.co_name, code.co_firstlineno))
+        if result is None:
             raise self.refused(f"{function.__qualname__} is not written in a module or a class")
-        return found
+        return result
 
     def refused(self, why: str) -> NotSpecialised:
         """The refusal of the line that is being written."""
         return NotSpecialised(f"{self.frame.function.__code__.co_filename}:{self.line}: {why}")
 
-    def put(self, made: Node, old: ast.AST) -> Node:
+    def locate(self, made: Node, old: ast.AST) -> Node:
         """A new node in the place of an old one."""
         spot: Any = made
         spot.lineno, spot.col_offset, spot.end_lineno, spot.end_col_offset = self.frame.place or location(old)
         return made
 
-    def named(self, word: str, old: ast.AST, context: ast.expr_context | None = None) -> ast.Name:
+    def name_node(self, word: str, old: ast.AST, context: ast.expr_context | None = None) -> ast.Name:
         """A name in the place of an old node."""
-        return self.put(ast.Name(word, context or ast.Load()), old)
+        return self.locate(ast.Name(word, context or ast.Load()), old)
 
     # Names
 
@@ -129,11 +129,11 @@ class Expressions:
     def fresh(self, word: str) -> str:
         """A name for a variable of a function that is written out: no other has it."""
         base = f"{word}_{self.frame.suffix}" if self.frame.suffix else word
-        found, n = base, 2
-        while found in self.taken or found in self.fields or found in self.names:
-            found, n = f"{base}_{n}", n + 1
-        self.taken.add(found)
-        return found
+        result, n = base, 2
+        while result in self.taken or result in self.fields or result in self.names:
+            result, n = f"{base}_{n}", n + 1
+        self.taken.add(result)
+        return result
 
     def outer(self, word: str, thing: Any, old: ast.AST) -> ast.expr:
         """A name for something around the function."""
@@ -141,7 +141,7 @@ class Expressions:
         while word in self.taken or self.names.get(word, thing) is not thing:
             word, n = f"{base}_{n}", n + 1
         self.names[word] = thing
-        return self.named(word, old)
+        return self.name_node(word, old)
 
     def residual(self, value: Value, old: ast.AST, word: str = "") -> ast.expr:
         """The expression of a value in the function that is made; `word` is what it is called, if it has a name."""
@@ -162,12 +162,12 @@ class Expressions:
             return self.outer(word or getattr(thing, "__name__", type(thing).__name__), thing, old)
         else:
             raise self.refused(f"{word or thing!r} is neither a number nor a function")
-        return self.put(made, old)
+        return self.locate(made, old)
 
     # What expressions come to
 
     def evaluate(self, node: ast.expr) -> Value:
-        """What is known of an expression, or the expression itself with what is known written in."""
+        """Evaluate an expression: its known value, or the expression itself with what is known written in."""
         make: Callable[[Any], Value] | None = getattr(self, f"_{type(node).__name__}", None)
         if make is None:
             raise self.refused(f"{type(node).__name__} is not for the tick: {ast.unparse(node)}")
@@ -185,12 +185,12 @@ class Expressions:
         if word in frame.known:
             return frame.known[word]
         if word in frame.names:
-            found = frame.names[word]
-            return self.named(found.id, node) if isinstance(found, ast.Name) else found
+            result = frame.names[word]
+            return self.name_node(result.id, node) if isinstance(result, ast.Name) else result
         if word in frame.function.__code__.co_varnames:
             if frame is not self.entry:
                 raise self.refused(f"{word} is read before it is set")
-            return self.named(word, node)
+            return self.name_node(word, node)
         around = frame.function.__globals__
         if word in around:
             return Known(around[word])
@@ -201,30 +201,30 @@ class Expressions:
     def _Attribute(self, node: ast.Attribute) -> Value:
         inner = self.evaluate(node.value)
         if not isinstance(inner, Known):
-            return self.put(ast.Attribute(inner, node.attr, ast.Load()), node)
+            return self.locate(ast.Attribute(inner, node.attr, ast.Load()), node)
         thing, word = inner.value, node.attr
         if isinstance(thing, Record) and word not in vars(thing) and word in declared(type(thing)):
-            return self.named(self.variable(thing, word), node)
+            return self.name_node(self.variable(thing, word), node)
         try:
-            found = getattr(thing, word)
+            result = getattr(thing, word)
         except AttributeError:
             raise self.refused(f"{type(thing).__name__} has no {word}") from None
-        if isinstance(thing, Record) and callable(found) and not isinstance(found, MethodType):
+        if isinstance(thing, Record) and callable(result) and not isinstance(result, MethodType):
             if declared(type(thing)).get(word, "").endswith("tuple[Any, ...]]"):
                 self.tuple_classes.add(thing.word(word))
-            return self.outer(thing.word(word), found, node)
-        return Known(found)
+            return self.outer(thing.word(word), result, node)
+        return Known(result)
 
     def _Subscript(self, node: ast.Subscript) -> Value:
         inner, at = self.evaluate(node.value), self.evaluate(node.slice)
         if isinstance(inner, Known) and isinstance(at, Known):
             return Known(inner.value[at.value])
         made = ast.Subscript(self.residual(inner, node), self.residual(at, node), ast.Load())
-        return self.put(made, node)
+        return self.locate(made, node)
 
     def _Slice(self, node: ast.Slice) -> Value:
         parts = [None if each is None else self.residualize(each) for each in (node.lower, node.upper, node.step)]
-        return self.put(ast.Slice(*parts), node)
+        return self.locate(ast.Slice(*parts), node)
 
     def _UnaryOp(self, node: ast.UnaryOp) -> Value:
         inner = self.evaluate(node.operand)
@@ -232,10 +232,10 @@ class Expressions:
             return Known(not inner.value)
         if isinstance(node.op, ast.Not) and self.has_lanes(self.residual(inner, node)):
             return self.call(masks.invert, [self.residual(inner, node)], node)
-        return self.put(ast.UnaryOp(node.op, self.residual(inner, node)), node)
+        return self.locate(ast.UnaryOp(node.op, self.residual(inner, node)), node)
 
     def _BinOp(self, node: ast.BinOp) -> Value:
-        return self.put(ast.BinOp(self.residualize(node.left), node.op, self.residualize(node.right)), node)
+        return self.locate(ast.BinOp(self.residualize(node.left), node.op, self.residualize(node.right)), node)
 
     def _Compare(self, node: ast.Compare) -> Value:
         left, rights = self.evaluate(node.left), [self.evaluate(each) for each in node.comparators]
@@ -245,25 +245,25 @@ class Expressions:
             return Known(decide(left.value, rights[0].value))
         sides = [self.residual(each, node) for each in (left, *rights)]
         if len(node.ops) > 1 and any(map(self.has_lanes, sides)):
-            return self.joined([self.put(ast.Compare(a, [sign], [b]), node) for a, sign, b in zip(
+            return self.joined([self.locate(ast.Compare(a, [sign], [b]), node) for a, sign, b in zip(
                 sides, node.ops, sides[1:], strict=False)], ast.And(), node)
-        return self.put(ast.Compare(sides[0], node.ops, sides[1:]), node)
+        return self.locate(ast.Compare(sides[0], node.ops, sides[1:]), node)
 
     def _BoolOp(self, node: ast.BoolOp) -> Value:
         decides = isinstance(node.op, ast.Or)
-        kept: list[ast.expr] = []
+        undecided: list[ast.expr] = []
         for each in node.values:
             value = self.evaluate(each)
             if not isinstance(value, Known):
-                kept.append(value)
-            elif bool(value.value) is decides and not kept:
+                undecided.append(value)
+            elif bool(value.value) is decides and not undecided:
                 return value
             elif bool(value.value) is decides:
-                kept.append(self.residual(value, each))
+                undecided.append(self.residual(value, each))
                 break
-        if len(kept) < 2:
-            return kept[0] if kept else value
-        return self.joined(kept, node.op, node)
+        if len(undecided) < 2:
+            return undecided[0] if undecided else value
+        return self.joined(undecided, node.op, node)
 
     def _IfExp(self, node: ast.IfExp) -> Value:
         test = self.evaluate(node.test)
@@ -271,7 +271,7 @@ class Expressions:
             return self.evaluate(node.body if test.value else node.orelse)
         if self.has_lanes(test):
             return self.call(masks.select, [test, self.residualize(node.body), self.residualize(node.orelse)], node)
-        return self.put(ast.IfExp(test, self.residualize(node.body), self.residualize(node.orelse)), node)
+        return self.locate(ast.IfExp(test, self.residualize(node.body), self.residualize(node.orelse)), node)
 
     # Conditions that eight scenes side by side may answer each in its own way
 
@@ -293,16 +293,16 @@ class Expressions:
         if len(conditions) == 1:
             return conditions[0]
         if not any(map(self.has_lanes, conditions)):
-            return self.put(ast.BoolOp(operator, conditions), node)
+            return self.locate(ast.BoolOp(operator, conditions), node)
         sign = ast.BitAnd() if isinstance(operator, ast.And) else ast.BitOr()
-        return reduce(lambda a, b: self.put(ast.BinOp(a, sign, b), node), conditions)
+        return reduce(lambda a, b: self.locate(ast.BinOp(a, sign, b), node), conditions)
 
     def call(self, function: Callable[..., Any], parts: list[ast.expr], node: ast.AST) -> ast.expr:
         """A call of what an engine has an instruction for."""
-        return self.put(ast.Call(self.outer(function.__name__, function, node), parts, []), node)
+        return self.locate(ast.Call(self.outer(function.__name__, function, node), parts, []), node)
 
     def _Yield(self, node: ast.Yield) -> Value:
-        return self.put(ast.Yield(None if node.value is None else self.residualize(node.value)), node)
+        return self.locate(ast.Yield(None if node.value is None else self.residualize(node.value)), node)
 
     def _display(self, node: ast.Tuple | ast.List) -> Value:
         return self.together([one for each in node.elts for one in self.several(each)], node)
@@ -313,7 +313,7 @@ class Expressions:
         if known and len(known) == len(values) and (isinstance(node, ast.Tuple) or of_structure(known)):
             return Known(tuple(known))
         kind = ast.Tuple if isinstance(node, ast.Tuple) else ast.List
-        return self.put(kind([self.residual(each, node) for each in values], ast.Load()), node)
+        return self.locate(kind([self.residual(each, node) for each in values], ast.Load()), node)
 
     _Tuple = _List = _display
 
@@ -326,7 +326,7 @@ class Expressions:
             return [Known(each) for each in inner.value]
         if isinstance(inner, ast.Tuple | ast.List):
             return [*inner.elts]
-        return [self.put(ast.Starred(inner, ast.Load()), node)]
+        return [self.locate(ast.Starred(inner, ast.Load()), node)]
 
     def _ListComp(self, node: ast.ListComp | ast.GeneratorExp) -> Value:
         return self.together(list(self.turns(node.elt, node.generators)), node)
@@ -366,13 +366,13 @@ class Expressions:
 
 
 def of_structure(thing: object) -> bool:
-    """Is it something that a name can stand for, not a number that a variable holds."""
+    """True of what a name can stand for, False of a number that a variable holds."""
     if isinstance(thing, tuple | list):
         return any(map(of_structure, thing))
     return isinstance(thing, Record | ModuleType | FunctionType | MethodType | type)
 
 
 def location(node: Any) -> Location:
-    """Where a node stands in its file."""
+    """Location of a node in its file."""
     return node.lineno, node.col_offset, node.end_lineno, node.end_col_offset
 

@@ -1,4 +1,4 @@
-"""What a user feels of a run: mass and drag in free space, stiffness at the wall, steady forces, smoothness, drift.
+"""Perceived figures of a run: mass and drag in free space, stiffness at the wall, steady forces, smoothness, drift.
 
 Each figure follows from a few sums over the ticks, added in their order, so that a sweep keeps the sums as it goes
 (`teleop.sweeps.kernels.sums`) and a single run adds them up from its trace, with the same bits. `SUMS` says which
@@ -68,7 +68,7 @@ AT_END = ("f_m", "f_env", "x_m", "x_s", "touch")  # sums over the last `END`
 
 
 class Frame(NamedTuple):
-    """What of a scene the figures go by."""
+    """Properties of a scene by which the figures are worked out."""
 
     dt: float  # s
     axes: int
@@ -82,19 +82,19 @@ class Frame(NamedTuple):
 
 
 def frame_of(scene: Scene) -> Frame:
-    """That of a scene."""
+    """Make the `Frame` of a scene."""
     places = [getattr(each, "at", nan) for each in scene.environments] if scene.slave is not None else []
     return Frame(scene.dt_ns / 1e9, scene.axes, scales(scene),
                  tuple([float(at) if isinstance(at, int | float) else nan for at in places]))
 
 
 def ranks(ticks: int) -> int:
-    """How many of the largest steps of so many ticks are to be kept for the 99.9 % value."""
+    """Number of the largest steps among so many ticks that the 99.9 % value needs."""
     return max(0, ticks - 1) // RARE + 1
 
 
-def names(group: str, axes: int, kept: int) -> tuple[str, ...]:
-    """The sums of a group, in order; `kept`: of the largest steps."""
+def names(group: str, axes: int, ranked: int) -> tuple[str, ...]:
+    """The sums of a group, in order; `ranked`: how many of the largest steps."""
     if group == "free":
         return ("free_n", *[f"free_{one}{i}" for i in range(axes) for one in ("a", "v", "f")],
                 *[f"free_{two}" for two in ("aa", "av", "vv", "fa", "fv", "ff")])
@@ -102,40 +102,40 @@ def names(group: str, axes: int, kept: int) -> tuple[str, ...]:
         return tuple([f"{group}_{i}" for i in range(axes)])
     if group == "turns":
         return tuple([f"{one}_{i}" for i in range(axes) for one in ("rise", "fall", "turns", "first", "latest")])
-    return ("jerk_sq",) if group == "jerk" else tuple([f"rank_{i}" for i in range(kept)])
+    return ("jerk_sq",) if group == "jerk" else tuple([f"rank_{i}" for i in range(ranked)])
 
 
 # From the sums to the figures
 
 
-def figures(asked: Sequence[str], sums: Mapping[str, float], frame: Frame, ran: int, late: int
+def figures(wanted: Sequence[str], sums: Mapping[str, float], frame: Frame, ran: int, late: int
             ) -> dict[str, float]:
-    """Those of the figures that these sums of a run of so many ticks have, except the ones of `AT_REST`.
+    """Figures that these sums of a run of so many ticks have, except the ones of `AT_REST`.
 
     `late`: the ticks of the last `END`.
     """
-    found: dict[str, float] = {}
-    if any(name.startswith("felt") for name in asked):
-        found |= free(sums, frame)
-    if "jerk_rms" in asked or "jerk_999" in asked:
-        found |= smoothness(sums, frame, ran)
+    values: dict[str, float] = {}
+    if any(name.startswith("felt") for name in wanted):
+        values |= free(sums, frame)
+    if "jerk_rms" in wanted or "jerk_999" in wanted:
+        values |= smoothness(sums, frame, ran)
     for name in ("f_m_end", "f_env_end"):
-        if name in asked:
-            found[name] = length(means(sums, name.removesuffix("_end"), frame, late))
-    if "drift_end" in asked:
-        found["drift_end"] = length([s / scale_x - m for s, m, (scale_x, _) in zip(
+        if name in wanted:
+            values[name] = length(means(sums, name.removesuffix("_end"), frame, late))
+    if "drift_end" in wanted:
+        values["drift_end"] = length([s / scale_x - m for s, m, (scale_x, _) in zip(
             means(sums, "x_s", frame, late), means(sums, "x_m", frame, late), frame.scales, strict=True)])
-    return {name: found[name] for name in asked if name in found}
+    return {name: values[name] for name in wanted if name in values}
 
 
-def resting(asked: Sequence[str], sums: Mapping[str, float], frame: Frame, status: str) -> dict[str, float]:
-    """Those of `AT_REST` that these sums have, of a run that came to its end with this status."""
-    found: dict[str, float] = {}
-    if "felt_stiffness" in asked or "felt_share" in asked:
-        found |= stiffness(sums, frame)
-    if "swing_frequency" in asked and status != "ok":
-        found |= turning(sums, frame)
-    return {name: found[name] for name in asked if name in found}
+def resting(wanted: Sequence[str], sums: Mapping[str, float], frame: Frame, status: str) -> dict[str, float]:
+    """Figures of `AT_REST` that these sums have, of a run that came to its end with this status."""
+    values: dict[str, float] = {}
+    if "felt_stiffness" in wanted or "felt_share" in wanted:
+        values |= stiffness(sums, frame)
+    if "swing_frequency" in wanted and status != "ok":
+        values |= turning(sums, frame)
+    return {name: values[name] for name in wanted if name in values}
 
 
 def means(sums: Mapping[str, float], group: str, frame: Frame, count: int) -> list[float]:
@@ -160,10 +160,10 @@ def free(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
     if n < 3.0 or not all(isfinite(sums[name]) for name in names("free", frame.axes, 0)):
         return {}
 
-    def centred(one: str, other: str) -> float:
-        total = sums[f"free_{one}{other}"]
+    def centred(one: str, second: str) -> float:
+        total = sums[f"free_{one}{second}"]
         for i in range(frame.axes):
-            total -= sums[f"free_{one}{i}"] * (sums[f"free_{other}{i}"] / n)
+            total -= sums[f"free_{one}{i}"] * (sums[f"free_{second}{i}"] / n)
         return total
 
     aa, av, vv, fa, fv, ff = (centred(*two) for two in ("aa", "av", "vv", "fa", "fv", "ff"))
@@ -174,8 +174,8 @@ def free(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
         return {}
     rest = 1.0 - r * r
     per_tick, drag = (fa - av * (fv / vv)) / (aa * rest), (fv - av * (fa / aa)) / (vv * rest)
-    found = {"felt_mass": per_tick * frame.dt, "felt_drag": drag}
-    return found | ({"felt_fit": (per_tick * fa + drag * fv) / ff} if ff > 1e-12 * sums["free_ff"] else {})
+    values = {"felt_mass": per_tick * frame.dt, "felt_drag": drag}
+    return values | ({"felt_fit": (per_tick * fa + drag * fv) / ff} if ff > 1e-12 * sums["free_ff"] else {})
 
 
 def stiffness(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
@@ -193,8 +193,8 @@ def stiffness(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
             own_way += force * (sums[f"x_s_{i}"] / count / scale_x - at)
     if not (way > 0.0 and isfinite(felt)):
         return {}
-    found = {"felt_stiffness": felt / way}
-    return found | ({"felt_share": felt / way * (own_way / touched)} if own_way > 0.0 and touched > 0.0 else {})
+    values = {"felt_stiffness": felt / way}
+    return values | ({"felt_share": felt / way * (own_way / touched)} if own_way > 0.0 and touched > 0.0 else {})
 
 
 def smoothness(sums: Mapping[str, float], frame: Frame, ran: int) -> dict[str, float]:
@@ -205,9 +205,9 @@ def smoothness(sums: Mapping[str, float], frame: Frame, ran: int) -> dict[str, f
     total = sums["jerk_sq"]
     if not isfinite(total):
         return {}
-    found = {"jerk_rms": sqrt(total / steps) / frame.dt}
+    values = {"jerk_rms": sqrt(total / steps) / frame.dt}
     rank = f"rank_{ranks(steps + 1) - 1}"
-    return found | ({"jerk_999": sums[rank] / frame.dt} if rank in sums else {})
+    return values | ({"jerk_999": sums[rank] / frame.dt} if rank in sums else {})
 
 
 def turning(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
@@ -240,29 +240,29 @@ def sums_of(frame: Frame, trace: Mapping[str, Any], groups: Sequence[str], first
     """
     import numpy as np
 
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     t, axes = trace["t"], frame.axes
     follows = np.diff(t) < 1.5 * frame.dt  # live, ticks may be missing
     with np.errstate(all="ignore"):  # the last rows of a run that diverged
         if "free" in groups and all(name in trace for name in ("f_m", "v_m", "v_s", "f_env")):
-            found |= _free_sums(trace, axes, follows)
+            values |= _free_sums(trace, axes, follows)
         for group in AT_END:
             name = "f_env" if group == "touch" else group
             if group in groups and name in trace and (column := trace[name]).size == len(t) * axes:
                 late = column[first:].reshape(-1, axes)
                 late = np.where(np.abs(late) > 0.0, 1.0, 0.0) if group == "touch" else late
-                found |= zip(names(group, axes, 0), map(in_order, late.T), strict=True)
+                values |= zip(names(group, axes, 0), map(in_order, late.T), strict=True)
         if "jerk" in groups and "f_m" in trace and len(t) > 1:
             force = trace["f_m"]
             steps = np.concatenate([size(np.diff(force[block.start:block.stop + 1], axis=0))
                                     for block in blocks(len(t) - 1)])[follows]
-            found["jerk_sq"] = in_order(steps * steps)
-            if isfinite(found["jerk_sq"]) and len(steps):
+            values["jerk_sq"] = in_order(steps * steps)
+            if isfinite(values["jerk_sq"]) and len(steps):
                 rank = ranks(len(steps) + 1)
                 steps.partition(len(steps) - rank)
-                found[f"rank_{rank - 1}"] = float(steps[len(steps) - rank])
-            found["steps"] = float(len(steps))
-    return found
+                values[f"rank_{rank - 1}"] = float(steps[len(steps) - rank])
+            values["steps"] = float(len(steps))
+    return values
 
 
 def _free_sums(trace: Mapping[str, Any], axes: int, follows: NDArray[np.bool_]) -> dict[str, float]:
@@ -278,23 +278,23 @@ def _free_sums(trace: Mapping[str, Any], axes: int, follows: NDArray[np.bool_]) 
     if until - since < 2 or not speed.size == force.size == rows * axes:
         return {}
     speed, force = speed.reshape(rows, axes), force.reshape(rows, axes)
-    found = dict.fromkeys(names("free", axes, 0), 0.0)
+    sums = dict.fromkeys(names("free", axes, 0), 0.0)
     for block in blocks(until - 1 - since):
         here = slice(since + block.start, since + block.stop)
         goes = follows[here]
         v = speed[here.start:here.stop + 1]
         of = {"a": np.diff(v, axis=0)[goes], "v": (0.5 * (v[1:] + v[:-1]))[goes], "f": force[here][goes]}
-        found["free_n"] += float(np.count_nonzero(goes))
-        for name, values in of.items():
-            for i, column in enumerate(values.T):
-                found[f"free_{name}{i}"] = in_order(column, found[f"free_{name}{i}"])
-        for one, other in ("aa", "av", "vv", "fa", "fv", "ff"):
-            product = of[one] * of[other]
+        sums["free_n"] += float(np.count_nonzero(goes))
+        for name, columns in of.items():
+            for i, column in enumerate(columns.T):
+                sums[f"free_{name}{i}"] = in_order(column, sums[f"free_{name}{i}"])
+        for one, second in ("aa", "av", "vv", "fa", "fv", "ff"):
+            product = of[one] * of[second]
             total = product[:, 0]
             for column in product.T[1:]:
                 total = total + column
-            found[f"free_{one}{other}"] = in_order(total, found[f"free_{one}{other}"])
-    return found
+            sums[f"free_{one}{second}"] = in_order(total, sums[f"free_{one}{second}"])
+    return sums
 
 
 def turns_of(trace: Mapping[str, Any], window: int) -> dict[str, float]:
@@ -303,7 +303,7 @@ def turns_of(trace: Mapping[str, Any], window: int) -> dict[str, float]:
 
     from teleop.simulation.rest import risen
 
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     x, v = (trace[name].reshape(len(trace["t"]), -1) for name in ("x_m", "v_m"))
     for i in range(v.shape[1]):
         speeds, late = v[-3 * window:-2 * window, i], v[-2 * window:, i]
@@ -315,6 +315,6 @@ def turns_of(trace: Mapping[str, Any], window: int) -> dict[str, float]:
         for k in ups[[0, -1]] if len(ups) else ():
             now, was = float(late[k]), float(late[k - 1])
             at.append(float(len(v) - 2 * window + int(k)) - (now - level) / (now - was))
-        own = (*risen(x[-window:, i]), float(len(ups)), *(at or (-1.0, -1.0)))
-        found |= zip([f"{name}_{i}" for name in ("rise", "fall", "turns", "first", "latest")], own, strict=True)
-    return found
+        turns = (*risen(x[-window:, i]), float(len(ups)), *(at or (-1.0, -1.0)))
+        values |= zip([f"{name}_{i}" for name in ("rise", "fall", "turns", "first", "latest")], turns, strict=True)
+    return values

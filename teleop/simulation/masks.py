@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 
-def select(mask: Any, here: Any, there: Any) -> Any:
+def select(mask: Any, here: Any, otherwise: Any) -> Any:
     """`here` where the mask is true, else `there`: numbers, or tuples of such."""
-    return here if mask else there
+    return here if mask else otherwise
 
 
 def invert(mask: Any) -> Any:
@@ -29,10 +29,10 @@ def broadcast(tree: Any) -> Any:
     return tree
 
 
-def put_selected(mask: Any, kept: Any, k: Any, size: int, message: Any) -> None:
+def put_selected(mask: Any, ring: Any, k: Any, size: int, message: Any) -> None:
     """`teleop.stages.memory.put` where the mask is true."""
     if mask:
-        kept[k % size] = message
+        ring[k % size] = message
 
 
 def store(out: Any, mask: Any, ran: int, figures: tuple[Any, ...]) -> None:

@@ -24,7 +24,7 @@ def connect(run: Run, size: int) -> None:
 
 
 def message_at(run: Run, a: Axis) -> Any:
-    """What an axis received last: the law's message, and with it what the waves have come to.
+    """Make the message that an axis received last: the law's, and with it the integrals of the waves.
 
     Where some messages are not sent, each has its number behind it, counted from 1, for 0 is none: a room is then for
     the tick at which a message comes, and keeps the newest of those that come there.
@@ -53,15 +53,15 @@ def deliver(run: Run, e: End, sender: End, play: Any, size: int, k: int) -> None
 
 def deliver_sent(run: Run, e: End, sender: End, size: int, k: int) -> None:
     """The same where some messages are not sent: the newest that comes at tick k, if none newer has come before."""
-    for kept, b in zip(e.stage.deadband.axes, sender.axes, strict=True):
-        kept.coming = get(b.ring, k, size)
+    for comings, b in zip(e.stage.deadband.axes, sender.axes, strict=True):
+        comings.coming = get(b.ring, k, size)
     e.got = e.stage.deadband.axes[0].coming[-1] - 1.0 > e.newest
     if e.got:
         e.newest = e.stage.deadband.axes[0].coming[-1] - 1.0
-        for a, kept in zip(e.axes, e.stage.deadband.axes, strict=True):
-            a.rx = kept.coming[0]
+        for a, comings in zip(e.axes, e.stage.deadband.axes, strict=True):
+            a.rx = comings.coming[0]
             if run.has.integral:
-                a.heard = kept.coming[1]
+                a.heard = comings.coming[1]
 
 
 def exchange(run: Run, k: int) -> None:

@@ -102,12 +102,12 @@ _ERRORS = {"x_err": ("x_s", "x_m", "seq_s"), "f_err": ("f_m", "f_env", "seq_m")}
 
 
 def metrics(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
-    """Those of `worked_out` that are finite."""
+    """Figures of `worked_out` that are finite."""
     return finite(worked_out(scene, trace))
 
 
 def finite(every: dict[str, float]) -> dict[str, float]:
-    """Those that are finite."""
+    """Keep the figures that are finite."""
     return {name: value for name, value in every.items() if isfinite(value)}
 
 
@@ -158,7 +158,7 @@ def _begun(energy: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def of_plan(way: str, play: Sequence[int], dt: float) -> dict[str, float]:
-    """What a run has of one direction ("fwd" or "bwd") by itself: `play` are the packets played at its ticks, or -1."""
+    """Figures of one direction ("fwd" or "bwd") by itself: `play` are the packets played at its ticks, or -1."""
     import numpy as np
 
     played = np.asarray(play)
@@ -180,20 +180,20 @@ def tracking(scene: Scene, trace: Mapping[str, Any]) -> dict[str, NDArray[np.flo
 
 
 def _error(scene: Scene, trace: Mapping[str, Any], name: str) -> NDArray[np.float64]:
-    """One of the two errors of `tracking`."""
+    """Compute one of the two errors of `tracking`."""
     mine, theirs, seq = _ERRORS[name]
     dt = scene.dt_ns / 1e9
     lag = _lag(_ages(trace, seq, dt), dt)
-    x, other = trace[mine], law_places(trace)[theirs]
+    x, opposite = trace[mine], law_places(trace)[theirs]
     if scene.scaling is not None:  # in the master's units
         scale_x, scale_f = [_by_axis(one) for one in zip(*scales(scene), strict=True)]
         x = x / scale_x if name == "x_err" else x
-        other = other / scale_f if name == "f_err" else other
-    return _behind(x, other, _ticks(trace, dt), lag)
+        opposite = opposite / scale_f if name == "f_err" else opposite
+    return _behind(x, opposite, _ticks(trace, dt), lag)
 
 
 def _by_axis(numbers: tuple[float, ...]) -> Any:
-    """What a column of a trace is divided by, whose axes have numbers of their own."""
+    """Divisor of a column of a trace, whose axes have numbers of their own."""
     import numpy as np
 
     return np.array(numbers) if len(set(numbers)) > 1 else numbers[0]
@@ -283,25 +283,25 @@ def given_out(least: float) -> float:
 
 def _summed(scene: Scene, trace: Mapping[str, Any], dt: float) -> dict[str, float]:
     """The figures of `SUMS`, except those of `AT_REST`."""
-    there = [name for name in SUMS if name not in AT_REST and all(
+    present = [name for name in SUMS if name not in AT_REST and all(
         column in trace for group in SUMS[name] for column in _COLUMNS[group])]
-    groups = {group for name in there for group in SUMS[name]}
+    groups = {group for name in present for group in SUMS[name]}
     first = _last(trace, dt)
     frame = frame_of(scene)._replace(axes=trace["f_m"][:1].size) if "f_m" in trace else frame_of(scene)
     sums = sums_of(frame, law_places(trace), tuple(groups), first, magnitude)
-    return figures(there, sums, frame, len(trace["t"]), len(trace["t"]) - first)
+    return figures(present, sums, frame, len(trace["t"]), len(trace["t"]) - first)
 
 
 def found_at_rest(scene: Scene, trace: Mapping[str, Any], still: Still, status: str) -> dict[str, float]:
     """The figures of `AT_REST` of a run that came to its end with this status, where nothing moves it any more."""
     frame = frame_of(scene)
     sums = {} if status == "ok" else turns_of(trace, still.window)
-    asked = ["swing_frequency"]
+    wanted = ["swing_frequency"]
     if scene.slave is not None and {"f_m", "f_env", "x_m", "x_s"} <= trace.keys():
         groups = SUMS["felt_share"]
         sums |= sums_of(frame, law_places(trace), groups, _last(trace, frame.dt), magnitude)
-        asked += ["felt_stiffness", "felt_share"]
-    return resting(asked, sums, frame, status)
+        wanted += ["felt_stiffness", "felt_share"]
+    return resting(wanted, sums, frame, status)
 
 
 def magnitude(column: NDArray[Any]) -> NDArray[Any]:

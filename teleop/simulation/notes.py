@@ -54,19 +54,20 @@ def faded(scene: Scene, trace: Mapping[str, Any]) -> list[str]:
     """The note on waves that are played as zero in gaps, where more than `FADES` of an end's ticks are gaps."""
     if not isinstance(scene.wave_playout, Zero):
         return []
-    told = []
+    clauses = []
     for seq, end in (("seq_s", "slave"), ("seq_m", "master")):
         if seq in trace and (played := trace[seq] >= 0).any():
             since = played[int(played.argmax()):]  # before the first message there is nothing to fade
             gaps = int((~since).sum())
-            told += [f"{gaps} of {number_of(len(since), 'tick')} at the {end}"] * (gaps > FADES * len(since))
-    if not told:
+            clauses += [f"{gaps} of {number_of(len(since), 'tick')} at the {end}"] * (gaps > FADES * len(since))
+    if not clauses:
         return []
-    return [f"waves were played as zero in gaps, {' and '.join(told)}: a steady force fades; {_take_integral(scene)}"]
+    return [f"waves were played as zero in gaps, {' and '.join(clauses)}: a steady force fades; "
+            f"{_take_integral(scene)}"]
 
 
 def in_gaps(scene: Scene) -> str:
-    """What the end that hears of it makes of ticks of which there is no message, as a clause."""
+    """Clause on how an end plays ticks for which there is no message."""
     gaps = scene.wave_playout
     if isinstance(gaps, Integral):
         return ("its queue of waves grows as long as the longest gap, and a gap that is longer than the queue is felt "
@@ -84,14 +85,14 @@ def in_gaps(scene: Scene) -> str:
 
 
 def _take_integral(scene: Scene) -> str:
-    own = scene.played_as
-    better: Playout = Fixed(own.delay, Integral()) if isinstance(own, Fixed) else Integral()
+    playout = scene.played_as
+    better: Playout = Fixed(playout.delay, Integral()) if isinstance(playout, Fixed) else Integral()
     return f"type --set playout={as_typed(better)}" if scene.knobs else f"in a scene of your own write playout={better}"
 
 
 def _unplayed(scene: Scene, direction: int, end: str, counts: Packets, played: int, seed: int, live: bool
               ) -> list[str]:
-    other = "master" if end == "slave" else "slave"
+    sender = "master" if end == "slave" else "slave"
     if not counts.sent or (played and counts.late <= played):
         return []
     if counts.late > played:
@@ -99,7 +100,7 @@ def _unplayed(scene: Scene, direction: int, end: str, counts: Packets, played: i
         return [f"{late} came to the {end} too late to be played, and {played} were played: the playout "
                 f"({as_typed(scene.played_as)}) is shorter than the link's delay and jitter; "
                 f"{_longer(scene, direction, seed, live)}"]
-    so = f"the {end} played none of the {number_of(counts.sent, 'packet')} that the {other} sent, and ran without them"
+    so = f"the {end} played none of the {number_of(counts.sent, 'packet')} that the {sender} sent, and ran without them"
     if counts.lost == counts.sent:
         return [f"{so}: the link lost them all; type another, for example --link 'delay(0.05)'"]
     if not counts.received and scene.leaves_out(end[0]) is not None:
@@ -113,7 +114,7 @@ def _unplayed(scene: Scene, direction: int, end: str, counts: Packets, played: i
 
 
 def _longer(scene: Scene, direction: int, seed: int, live: bool) -> str:
-    """What to type for a playout that is long enough for nearly all packets that the scene's link lets through."""
+    """Words to type for a playout that is long enough for nearly all packets that the scene's link lets through."""
     import numpy as np
 
     count = min(scene.ticks, ENOUGH)
@@ -156,7 +157,7 @@ def fitted(scene: Scene, seed: int = 0) -> Scene:
 
 
 def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[Delay | None, Delay | None, bool, float]:
-    """Of the first `ran` ticks of a run in virtual time: what `facts` takes of its link and of the ticks left out."""
+    """Facts on the link and the skipped ticks of the first `ran` ticks of a run in virtual time."""
     import numpy as np
 
     dt = scene.dt_ns / 1e9
@@ -193,8 +194,8 @@ def facts(scene: Scene, axis: int, fwd: Delay | None, bwd: Delay | None, lossy: 
     The slave's body is as the law meets it, in the master's metres and newtons: of m_s a_s = f_s with x_s = scale_x x
     and f_s = scale_f f a mass m_s scale_x/scale_f (`teleop.stages.scaling`).
     """
-    master, slave, own = [scene.per_axis(name)[axis] for name in ("master", "slave", "scaling")]
-    felt = 1.0 if own is None else own.scale_x / own.scale_f
+    master, slave, playout = [scene.per_axis(name)[axis] for name in ("master", "slave", "scaling")]
+    felt = 1.0 if playout is None else playout.scale_x / playout.scale_f
     return Facts(scene.dt_ns / 1e9, scene.axes, master.mass, master.damping, felt * slave.mass, felt * slave.damping,
                  fwd, bwd, lossy, _word(scene.played_as), held)
 
@@ -206,18 +207,18 @@ def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool, h
     """
     if scene.slave is None:
         return []
-    told: dict[str, list[tuple[str, str]]] = {}  # by what is left without the numbers
+    clauses: dict[str, list[tuple[str, str]]] = {}  # by what is left without the numbers
     alike = not any(isinstance(getattr(scene, name), tuple) for name in ("law", "master", "slave", "scaling"))
     for i, name in enumerate(scene.axis_names[:1] if alike else scene.axis_names):
         for sentence in broken(scene.laws[i], facts(scene, i, fwd, bwd, lossy, held)):
-            own = told_along(sentence, scene.axis_units[i])
-            told.setdefault(_NUMBER.sub("", own), []).append((name, own))
-    return [each[0][1] if alike else _of_axes(each, scene.axes) for each in told.values()]
+            playout = told_along(sentence, scene.axis_units[i])
+            clauses.setdefault(_NUMBER.sub("", playout), []).append((name, playout))
+    return [each[0][1] if alike else _of_axes(each, scene.axes) for each in clauses.values()]
 
 
-def _of_axes(told: list[tuple[str, str]], axes: int) -> str:
+def _of_axes(clauses: list[tuple[str, str]], axes: int) -> str:
     """A sentence on some of so many axes, each with its numbers: that of the first, and the names of the others."""
-    names, sentences = zip(*told, strict=True)
+    names, sentences = zip(*clauses, strict=True)
     if len(set(sentences)) > 1:
         return f"{names[0]}: {sentences[0]} (and {enumerated(names[1:])}, with their own numbers)"
     return sentences[0] if len(names) == axes else f"{enumerated(names)}: {sentences[0]}"

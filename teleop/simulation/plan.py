@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Plan(NamedTuple):
-    """What one direction of a link comes to over a run: one packet sent at each tick that its sender runs.
+    """Plan of one direction of a link over a run: one packet sent at each tick that its sender runs.
 
     `sent = received + lost + in_flight` and `received = played + overtaken + late + waiting`.
     """
@@ -44,7 +44,7 @@ class Plan(NamedTuple):
 
     @property
     def orders(self) -> NDArray[np.int64]:
-        """What the loop of a run is told: the packets played; where content decides what is sent, more behind them.
+        """Orders for the loop of a run: the packets played; where content decides what is sent, more behind them.
 
         That is for each packet the tick at which it may be played, and its number: one that never comes has its own
         tick and -1.
@@ -100,29 +100,29 @@ def plan(
     never = np.iinfo(np.int64).max
     first = np.full(count, never, dtype=np.int64)  # the tick at which a packet came for the first time
     np.minimum.at(first, packet, tick)
-    came = first < count
+    arrives = first < count
 
     play = np.full(count, -1, dtype=np.int64)
     at = first
     late = waiting = 0
     if isinstance(playout, Fixed):
         due = numbers + playout.ticks(dt_ns)
-        in_time = came & (first <= due)
+        in_time = arrives & (first <= due)
         if left_out is not None:  # it came by then, but nobody was there
             in_time &= ~np.append(left_out, False)[np.minimum(due, count)]
         on = in_time & (due < count)
         at = np.where(on, due, never)
         play[due[on]] = numbers[on]
-        late = int(np.count_nonzero(came & ~in_time))
+        late = int(np.count_nonzero(arrives & ~in_time))
         waiting = int(np.count_nonzero(in_time & ~on))
     else:
-        np.maximum.at(play, first[came], numbers[came])
+        np.maximum.at(play, first[arrives], numbers[arrives])
         play[1:][play[1:] <= np.maximum.accumulate(play)[:-1]] = -1
 
     if left_out is not None:
         play[left_out] = LEFT_OUT
     played = play >= 0
-    received = int(np.count_nonzero(came))
+    received = int(np.count_nonzero(arrives))
     lost = int(np.count_nonzero(first == never)) - (0 if sent is None else count - int(np.count_nonzero(sent)))
     total = count if sent is None else int(np.count_nonzero(sent))
     plays = int(np.count_nonzero(played))
@@ -156,7 +156,7 @@ class LinkPlans(NamedTuple):
 
 
 def link_plans(scene: Scene, seed: int, ticks: int | None = None,
-               told: Sequence[NDArray[np.bool_]] | None = None) -> LinkPlans:
+               sent: Sequence[NDArray[np.bool_]] | None = None) -> LinkPlans:
     """The plan of each direction of a scene's link: the packet played at every tick.
 
     `ticks`: of a run that ended early, how many it had; what was sent and received until then. Raises `Refused` where
@@ -176,12 +176,12 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None,
         sent = None if sender is None else ~sender
         packet, time_ns = _arrivals(scene, direction, count, seed, sent)
         playout = Zero() if scene.link is None else scene.played_as
-        if told is not None:
-            sent = told[direction] if sent is None else sent & told[direction]
+        if sent is not None:
+            sent = sent[direction] if sent is None else sent & sent[direction]
             were = sent[packet]
             packet, time_ns = packet[were], time_ns[were]
         plans.append(plan(playout, packet, time_ns, count, scene.dt_ns, sent, receiver,
-                          by_content=scene.deadband is not None and told is None))
+                          by_content=scene.deadband is not None and sent is None))
     return LinkPlans(*plans)
 
 
@@ -276,10 +276,10 @@ class Packets:
         return cls(sent=ticks, received=max(0, ticks - 1), in_flight=min(1, ticks))
 
 
-def packet_counts(scene: Scene, seed: int, ran: int, told: Sequence[Any] | None = None) -> dict[str, Packets]:
+def packet_counts(scene: Scene, seed: int, ran: int, sent: Sequence[Any] | None = None) -> dict[str, Packets]:
     """The packets of each direction until tick `ran`, as the schedule has them; `told`: see `link_plans`."""
-    counts = counts_of(link_plans(scene, seed, ran, told), ran)
-    if told is None:
+    counts = counts_of(link_plans(scene, seed, ran, sent), ran)
+    if sent is None:
         return counts
     could = counts_of(link_plans(scene, seed, ran), ran)
     return {way: replace(each, saved=could[way].sent - each.sent) for way, each in counts.items()}

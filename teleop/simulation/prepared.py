@@ -34,7 +34,7 @@ class Prepared:
 
     @cached_property
     def structure(self) -> Structure:
-        """All that decides which lines of the tick it has."""
+        """Structure of the scene, which decides its lines of the tick."""
         return structure_of(self.scene)
 
     @cached_property
@@ -54,7 +54,7 @@ class Prepared:
 
     @cached_property
     def still(self) -> Still | None:
-        """How the end of its run is looked at, where nothing moves it any more; None where something does."""
+        """View of the end of its run, where nothing moves it any more; None where something does."""
         return still(self.scene, self.reference)
 
     @cached_property
@@ -63,7 +63,7 @@ class Prepared:
         return {e: self.scene.vector(f"start_{e}", getattr(self.scene, f"start_{e}")) for e in ("m", "s")}
 
     @cached_property
-    def given(self) -> Any:
+    def numbers(self) -> Any:
         """The numbers of the stages between the bodies and the law, nested by end and stage."""
         return numbers_of(self.scene, self.starts)
 

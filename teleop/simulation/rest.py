@@ -57,13 +57,13 @@ STEPS = 2.0  # steps of the encoder, peak to peak, that count as rest: near an e
 
 
 class Still(NamedTuple):
-    """How the end of a run is looked at from whose tick `since` on nothing moves the scene."""
+    """View of the end of a run from whose tick `since` on nothing moves the scene."""
 
     since: int
     window: int  # ticks
     step: float  # m, of the coarsest encoder; 0.0 without one
     late: int = 0  # ticks by which the computation and the renewal of the forces of both ends are late
-    own: int = 0  # ticks of one and a half periods of all masses on the hand's spring: see `period`
+    periods: int = 0  # ticks of one and a half periods of all masses on the hand's spring: see `period`
     least_swing: float = FELT  # m, below which it rests
 
     def first(self, ticks: int) -> int:
@@ -86,26 +86,26 @@ class Still(NamedTuple):
     def short(self, swings: Sequence[float], trip: int) -> bool:
         """True if the windows are too short for a verdict.
 
-        They are where a window holds less than `TRIPS` round trips of the loop. Where it is shorter than `own`, what
-        decays may seem to stay, as the swing goes by where in a period each window begins.
+        They are where a window holds less than `TRIPS` round trips of the loop. Where it is shorter than `periods`,
+        what decays may seem to stay, as the swing goes by where in a period each window begins.
         """
-        return self.window < TRIPS * (trip + self.late) or (self.window < self.own and trend(swings) == "stays")
+        return self.window < TRIPS * (trip + self.late) or (self.window < self.periods and trend(swings) == "stays")
 
     def least(self, trip: int) -> int:
         """The least window, ticks, that any verdict can be told from; `trip`: the round trip of the link, ticks."""
-        return max(TRIPS * (trip + self.late), self.own)
+        return max(TRIPS * (trip + self.late), self.periods)
 
-    def left(self, swings: Sequence[float], trip: int) -> float:
+    def swing_left(self, swings: Sequence[float], trip: int) -> float:
         """The swing (m) that is left: the greatest over the last round trip of the loop, where a window is shorter."""
         return max(swings[-max(1, -(-(trip + self.late) // self.window)):])
 
     def undecided(self, swings: Sequence[float], trip: int) -> bool:
         """True if something swings that a longer run would give a verdict on."""
-        return self.short(swings, trip) and not self.rests(self.left(swings, trip))
+        return self.short(swings, trip) and not self.rests(self.swing_left(swings, trip))
 
 
 def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
-    """How the end of a run of `scene` is looked at; None where something moves it nearly to the end.
+    """Make the view of the end of a run of `scene`; None where something moves it nearly to the end.
 
     `path`: the samples of the hand's reference at the ticks 0 .. n, for each axis; None without a hand.
     """
@@ -116,8 +116,8 @@ def still(scene: Scene, path: Sequence[Sequence[float]] | None) -> Still | None:
     since = max([_stops(axis, ticks) for axis in path or ()], default=0)
     window = (ticks - since) // WINDOWS
     late = sum(end.delay + end.every - 1 for end in _devices(scene)[::scene.axes] if end)
-    own = ceil(PERIODS * period(scene) * 1e9 / scene.dt_ns)
-    return Still(since, window, encoder_step(scene), late, own, least_swing(scene)) if window >= LEAST else None
+    periods = ceil(PERIODS * period(scene) * 1e9 / scene.dt_ns)
+    return Still(since, window, encoder_step(scene), late, periods, least_swing(scene)) if window >= LEAST else None
 
 
 def least_swing(scene: Scene) -> float:
@@ -154,7 +154,7 @@ def encoder_step(scene: Scene) -> float:
 
 
 def _devices(scene: Scene) -> tuple[Any, ...]:
-    """What stands between each axis of both ends and the law."""
+    """List the devices between the axes of both ends and the law."""
     return (*scene.per_axis("device_m"), *scene.per_axis("device_s"))
 
 
@@ -174,16 +174,16 @@ def swings(columns: Iterable[NDArray[np.float64]], window: int, count: int = LAT
     """
     import numpy as np
 
-    found = np.zeros(count)
+    greatest = np.zeros(count)
     for column in columns:
         for place in np.reshape(column, (len(column), -1)).T:
             late = place[len(place) - count * window:].reshape(count, window)
             with np.errstate(over="ignore"):  # places may be as far apart as no float is
                 rise = (late - np.minimum.accumulate(late, axis=1)).max(axis=1)
                 fall = (np.maximum.accumulate(late, axis=1) - late).max(axis=1)
-            found = np.maximum(found, np.minimum(rise, fall))
-    told: list[float] = found.tolist()
-    return told
+            greatest = np.maximum(greatest, np.minimum(rise, fall))
+    swings_found: list[float] = greatest.tolist()
+    return swings_found
 
 
 def risen(place: NDArray[np.float64]) -> tuple[float, float]:
@@ -201,7 +201,7 @@ def places(trace: Any) -> list[NDArray[np.float64]]:
 
 
 def trend(swings: Sequence[float]) -> str:
-    """What successive swings come to: "falls", "stays" or "grows", see the head of this file."""
+    """Trend of successive swings: "falls", "stays" or "grows", see the head of this file."""
     first, middle, last = swings[0], swings[len(swings) // 2], swings[-1]
     before, after = abs(middle - first), abs(last - middle)
     steps = [b - a for a, b in pairwise(swings)]

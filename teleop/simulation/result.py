@@ -1,4 +1,4 @@
-"""What a run leaves: a status with its sentence, figures, packet counts, and the trace."""
+"""Result of a run: a status with its sentence, figures, packet counts, and the trace."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def versions(*also: str) -> dict[str, str]:
 
     from teleop.version import __version__
 
-    found = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
+    versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
     if also:
         from importlib.metadata import version
 
-        found |= {name: version(name) for name in also}
-    return found
+        versions |= {name: version(name) for name in also}
+    return versions
 
 
 def head(*, status: str, sentence: str, scene: str, mode: str, parameters: Mapping[str, object], seed: int | None,
@@ -48,7 +48,7 @@ def head(*, status: str, sentence: str, scene: str, mode: str, parameters: Mappi
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """One run. `trace` maps names to arrays, one row per tick.
+    """Result of one run. `trace` maps names to arrays, one row per tick.
 
     `status` is ok, limit cycle or unstable (a swing stays or grows although nothing moves the scene any more, see
     `teleop.simulation.rest`), diverged, or of a live run stopped.
@@ -95,7 +95,7 @@ class Result:
         )
 
     def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:
-        """What goes into summary.json: a number that is not finite as the text "inf", "-inf" or "nan"."""
+        """Document for summary.json: a number that is not finite is the text "inf", "-inf" or "nan"."""
         labels = self.labels
         summary: dict[str, Any] = plain({
             **head(status=self.status, sentence=self.sentence, scene=self.scene, mode=self.mode,
@@ -156,8 +156,8 @@ def parameters(scene: Scene) -> dict[str, object]:
     laws = scene.laws
     for key, value in {**scene.knobs, "law": scene.law}.items():
         if key == "law" and is_dataclass(laws[0]):
-            own = own_file(type(laws[0]))
-            source = {} if own is None else {"file": str(own.path), "sha256": own.digest}
+            user_file = own_file(type(laws[0]))
+            source = {} if user_file is None else {"file": str(user_file.path), "sha256": user_file.digest}
             numbers = {f.name: [getattr(law, f.name) for law in laws] for f in fields(laws[0])}
             plain[key] = {"name": law_name(laws[0]), **source, **{
                 name: each[0] if each.count(each[0]) == len(each) else each for name, each in numbers.items()}}
@@ -197,19 +197,19 @@ def read_result(folder: Path) -> Result:
 
 
 def incomplete(folder: Path, error: Exception) -> Refused:
-    """What to say of a folder whose run cannot be read because of `error`."""
+    """Sentence on a folder whose run cannot be read because of `error`."""
     return Refused(f"{folder} holds no complete run ({_why(error)}); give the folder that `teleop run` printed")
 
 
 def _why(error: Exception) -> str:
-    """What is wrong with a stored run, and with which of its files where that is known."""
+    """Sentence on a fault of a stored run, with the file that has it where that is known."""
     if isinstance(error, OSError) and error.strerror:
         return f"{Path(str(error.filename)).name}: {error.strerror}" if error.filename else error.strerror
     return str(error) if isinstance(error, Misshapen) else f"{type(error).__name__}: {error}"
 
 
 def has_record(folder: Path) -> bool:
-    """Is there any of `records_in`?"""
+    """True if there is any of `records_in`."""
     return next(records_in(folder), None) is not None
 
 
@@ -219,7 +219,7 @@ def records_in(folder: Path) -> Iterator[Path]:
 
 
 def stored_summary(folder: Path) -> dict[str, Any]:
-    """What the summary.json in `folder` holds, its shape checked. Raises `OSError` or `Misshapen`."""
+    """Read the summary.json in `folder` and check its shape. Raises `OSError` or `Misshapen`."""
     from teleop.simulation.summary_shape import RUN
 
     summary: dict[str, Any] = parse(read_bytes(folder / "summary.json", links=False))

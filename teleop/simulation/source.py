@@ -19,7 +19,7 @@ from teleop.simulation.bodies import Bodies
 from teleop.simulation.specialise import Specialised, specialise
 from teleop.simulation.structure import NAMES, Structure, live_structure, run_of, start_of, structure_of, sums_type
 from teleop.simulation.tick import live, loop, row
-from teleop.stages.end import End, Record, Recorder, Run, called
+from teleop.stages.end import End, Record, Recorder, Run, function_fields
 
 
 class Lines(NamedTuple):
@@ -29,7 +29,7 @@ class Lines(NamedTuple):
     code: CodeType
 
     def text(self) -> str:
-        """These lines as text."""
+        """Text of these lines."""
         return ast.unparse(self.made.tree)
 
     def lines(self) -> tuple[int, ...]:
@@ -37,7 +37,7 @@ class Lines(NamedTuple):
         return tuple([each.lineno for each in ast.walk(self.made.tree) if isinstance(each, ast.stmt)])
 
     def names(self, functions: Mapping[str, Any]) -> dict[str, Any]:
-        """All that these lines find by name, with a scene's own functions."""
+        """Names that these lines need, with a scene's own functions."""
         return {word: functions[word] if thing is missing else thing for word, thing in self.made.names.items()}
 
     def function(self, functions: Mapping[str, Any]) -> Callable[..., Any]:
@@ -60,13 +60,13 @@ def live_of(scene: Scene, e: str, sensor: bool | None = None) -> Callable[..., A
 
 @lru_cache(maxsize=64)
 def lines(structure: Structure, entry: Callable[..., Any], recorder: Callable[..., Recorder] = Recorder,
-          asked: tuple[Any, ...] = (), ends: tuple[str, ...] = (), engine: str = "plain") -> Lines:
+          request: tuple[Any, ...] = (), ends: tuple[str, ...] = (), engine: str = "plain") -> Lines:
     """The lines that `entry` comes to for a structure.
 
     `recorder` makes the run's recorder of what is `asked`. `ends`: the ends that `entry` is handed beside the run.
     `engine`: plain, scalar or vector; see `teleop.simulation.specialise`.
     """
-    run = run_of(structure, recorder(*asked))
+    run = run_of(structure, recorder(*request))
     bind(run, None)
     made = specialise(entry, run, *[getattr(run, e) for e in ends], engine=engine)
     return Lines(made, compile(ast.Module([made.tree], []), made.file, "exec"))
@@ -92,7 +92,7 @@ def missing(*_: Any) -> Any:
 def bind(run: Run, functions: Mapping[str, Any] | None) -> None:
     """Let the records of a run have the functions of a scene by their names, or `missing` in place of each."""
     for record in _records(run):
-        for field in called(type(record)):
+        for field in function_fields(type(record)):
             if functions is None:
                 setattr(record, field, missing)
             elif record.word(field) in functions:
@@ -109,39 +109,39 @@ def _records(run: Run) -> Iterator[Record]:
 
 
 def functions(scene: Scene) -> dict[str, Any]:
-    """What the lines of a scene find by name: the functions of its law and its devices, and those of its master."""
+    """Functions that the lines of a scene find by name: its law's, its devices' and its master's."""
     from teleop.physics.plant import grip_force, move_free, move_gripped
 
-    found: dict[str, Any] = {"grip_force": grip_force, "move_free": move_free, "move_gripped": move_gripped}
+    table: dict[str, Any] = {"grip_force": grip_force, "move_free": move_free, "move_gripped": move_gripped}
     structure, law = structure_of(scene), scene.laws[0]
     if scene.slave is None:
         words = {"begin_m": "start", "law_m": "force"}
     else:
         words = {"begin_m": "master_start", "law_m": "master", "begin_s": "slave_start", "law_s": "slave"}
-    for e, own in (("m", structure.m), ("s", structure.s)):
+    for e, end in (("m", structure.m), ("s", structure.s)):
         device = scene.per_axis(f"device_{e}")[0]
-        if own.has.sums:
+        if end.has.sums:
             words[f"total_{e}"] = f"{NAMES[e]}_sums"
-            found[f"Sums_{e}"] = sums_type(law, e, scene.dt_ns / 1e9)
-        if own.rx_wave or scene.rotations:
-            found[f"Message_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "m"]
+            table[f"Sums_{e}"] = sums_type(law, e, scene.dt_ns / 1e9)
+        if end.rx_wave or scene.rotations:
+            table[f"Message_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "m"]
         if scene.rotations:
-            found[f"Sent_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "s"]
-            found[f"State_{e}"] = type(start_of(law, e, scene.dt_ns / 1e9)[0])
+            table[f"Sent_{e}"] = messages(law, scene.dt_ns / 1e9)[e == "s"]
+            table[f"State_{e}"] = type(start_of(law, e, scene.dt_ns / 1e9)[0])
         if structure.has.stored:
             words[f"stored_{e}"] = f"{NAMES[e]}_stored"
         if device is not None and device.velocity is not None:
-            found[f"estimate_{e}"] = device.velocity.step
-    return found | {word: _end_of(law, name) for word, name in words.items()}
+            table[f"estimate_{e}"] = device.velocity.step
+    return table | {word: _end_of(law, name) for word, name in words.items()}
 
 
 def _end_of(law: Any, name: str) -> Callable[..., Any]:
     """An end of a law as a function of the law and the rest; of a law that wraps another, whatever it answers with."""
-    own = getattr_static(type(law), name, None)
-    if isinstance(own, FunctionType):
-        return own
-    end: Callable[..., Any] = getattr(law, name)
-    return lambda _, *rest: end(*rest)
+    function = getattr_static(type(law), name, None)
+    if isinstance(function, FunctionType):
+        return function
+    method: Callable[..., Any] = getattr(law, name)
+    return lambda _, *rest: method(*rest)
 
 
 def rendered(scene: Scene, e: str | None = None) -> str:
@@ -157,24 +157,24 @@ class RowRecorder(Recorder):
     rows_m: Any
     rows_s: Any
 
-    def begin(self, run: Run, asked: Any, size: int) -> None:
-        self.rows_m = asked[0]
+    def begin(self, run: Run, request: Any, size: int) -> None:
+        self.rows_m = request[0]
         if run.has.slave:
-            self.rows_s = asked[1]
+            self.rows_s = request[1]
 
     def step(self, run: Run, k: int) -> None:
         self.rows_m(row(run.m))
         if run.has.slave:
             self.rows_s(row(run.s))
 
-    def told(self, run: Run, ticks: int, complete: bool) -> Any:
+    def outcome(self, run: Run, ticks: int, complete: bool) -> Any:
         """Ticks that ran, ticks with too many contact events, where it left its bounds, and the inner states."""
         ends = None if complete else tuple([places(e) for e in run.ends])
         return ticks, run.capped if run.has.slave else 0, ends, (inner(run.m), inner(run.s))
 
 
 def places(e: End) -> tuple[float, ...]:
-    """Where an end is."""
+    """Positions of an end."""
     return tuple([a.x for a in e.axes])
 
 

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 from teleop.errors import number_of
 from teleop.simulation import masks
-from teleop.simulation.expressions import Expressions, Frame, Known, NotSpecialised, Value, location, of_structure
+from teleop.simulation.expressions import CallFrame, Expressions, Known, NotSpecialised, Value, location, of_structure
 from teleop.stages import memory
 from teleop.stages.end import Record, declared
 
@@ -56,13 +56,13 @@ def specialise(function: Callable[..., Any], *records: Record, engine: str = "pl
     """
     assert isinstance(function, FunctionType)
     made = _Writer(function, engine)
-    return made.written(records)
+    return made.write(records)
 
 
 class _Writer(Expressions):
-    """One function being made."""
+    """Writer of one function."""
 
-    def written(self, records: Sequence[Record]) -> Specialised:
+    def write(self, records: Sequence[Record]) -> Specialised:
         """The whole of it."""
         node = self.definition(self.entry.function)
         self.entry.known = {name: Known(one) for name, one in zip(self.entry.arguments, records, strict=False)}
@@ -74,7 +74,7 @@ class _Writer(Expressions):
         assert isinstance(made, ast.FunctionDef)
         made.args, made.body = ast.arguments([], rest, None, [], [], None, []), self.out
         for each in (made, *rest):
-            self.put(each, node)
+            self.locate(each, node)
         return Specialised(made, self.file, self.names)
 
     def returned_once(self, lines: Sequence[ast.stmt]) -> Sequence[ast.stmt]:
@@ -82,20 +82,20 @@ class _Writer(Expressions):
         if not any(isinstance(line, ast.If) and returns(line) for line in lines):
             return lines
         word = self.fresh("returned")
-        self.entry.names[word] = self.named(word, lines[-1])
+        self.entry.names[word] = self.name_node(word, lines[-1])
 
         def settled(lines: Sequence[ast.stmt]) -> list[ast.stmt]:
             for i, line in enumerate(lines):
                 if isinstance(line, ast.Return):
-                    value = line.value or self.put(ast.Constant(None), line)
-                    return [*lines[:i], self.put(ast.Assign([self.named(word, line, ast.Store())], value), line)]
+                    value = line.value or self.locate(ast.Constant(None), line)
+                    return [*lines[:i], self.locate(ast.Assign([self.name_node(word, line, ast.Store())], value), line)]
                 if isinstance(line, ast.If) and returns(line):
                     rest = lines[i + 1:]
                     ways = [settled([*way, *rest]) for way in (line.body, line.orelse)]
-                    return [*lines[:i], self.put(ast.If(line.test, *ways), line)]
+                    return [*lines[:i], self.locate(ast.If(line.test, *ways), line)]
             return [*lines]
 
-        return [*settled(lines), self.put(ast.Return(self.named(word, lines[-1])), lines[-1])]
+        return [*settled(lines), self.locate(ast.Return(self.name_node(word, lines[-1])), lines[-1])]
 
     # Statements
 
@@ -106,8 +106,8 @@ class _Writer(Expressions):
             make: Callable[[Any], Value | None] | None = getattr(self, f"_{type(line).__name__}", None)
             if make is None or not isinstance(line, ast.stmt):
                 raise self.refused(f"{type(line).__name__} is not for the tick")
-            if (told := make(line)) is not None:
-                return told
+            if (answer := make(line)) is not None:
+                return answer
         return None
 
     def block(self, lines: Sequence[ast.stmt]) -> list[ast.stmt]:
@@ -122,11 +122,11 @@ class _Writer(Expressions):
         return made
 
     def emit(self, made: ast.stmt, old: ast.AST) -> None:
-        """One line more."""
-        self.out.append(self.put(made, old))
+        """Append a line."""
+        self.out.append(self.locate(made, old))
 
     def right_side(self, node: ast.expr) -> Value:
-        """All of a line's value: a call in its place may have lines of its own."""
+        """Evaluate the whole right side of a line, where a call may have lines of its own."""
         self.whole = node
         value = self.evaluate(node)
         self.whole = None
@@ -163,7 +163,7 @@ class _Writer(Expressions):
         self.emit(ast.AugAssign(target, line.op, value), line)
 
     def assign(self, target: ast.expr, value: Value, line: ast.stmt) -> None:
-        """One target and its value."""
+        """Assign a value to one target."""
         if isinstance(value, Known) and of_structure(value.value):
             if self.frame.branches:
                 raise self.refused(f"{ast.unparse(target)} stands for what is known when the loop is made, so it "
@@ -193,7 +193,7 @@ class _Writer(Expressions):
         return self.call(masks.broadcast, [value], line)
 
     def target(self, node: ast.expr) -> ast.expr:
-        """What is assigned to, as an expression of the function that is made."""
+        """Target of an assignment, as an expression of the function that is made."""
         made: ast.expr
         if isinstance(node, ast.Name):
             frame, word = self.frame, node.id
@@ -201,8 +201,8 @@ class _Writer(Expressions):
                 raise self.refused(f"{word} is an argument, or stands for what is known when the loop is made; set a "
                                    "name of its own")
             if frame is not self.entry and word not in frame.names:
-                frame.names[word] = self.named(self.fresh(word), node)
-            made = self.named(word if frame is self.entry else ast.unparse(frame.names[word]), node, ast.Store())
+                frame.names[word] = self.name_node(self.fresh(word), node)
+            made = self.name_node(word if frame is self.entry else ast.unparse(frame.names[word]), node, ast.Store())
             self.assigned.add(made.id)
         elif isinstance(node, ast.Attribute):
             record = self.evaluate(node.value)
@@ -210,7 +210,7 @@ class _Writer(Expressions):
                 raise self.refused(f"{ast.unparse(node)} is no field of a record, so it cannot be set")
             if node.attr in vars(record.value) or node.attr not in declared(type(record.value)):
                 raise self.refused(f"{type(record.value).__name__} declares no variable {node.attr}")
-            made = self.named(self.variable(record.value, node.attr), node, ast.Store())
+            made = self.name_node(self.variable(record.value, node.attr), node, ast.Store())
             if node.attr not in record.value.passing:
                 self.assigned.add(made.id)
         elif isinstance(node, ast.Tuple):
@@ -219,19 +219,19 @@ class _Writer(Expressions):
             made = ast.Subscript(self.residualize(node.value), self.residualize(node.slice), ast.Store())
         else:
             raise self.refused(f"{ast.unparse(node)} cannot be set")
-        return self.put(made, node)
+        return self.locate(made, node)
 
     def _If(self, line: ast.If) -> Value | None:
         test = self.right_side(line.test)
         if isinstance(test, Known):
             return self.body(line.body if test.value else line.orelse)
         if self.has_lanes(test):
-            other = self.mask(self.call(masks.invert, [test], line), line) if line.orelse else ""
+            inverse = self.mask(self.call(masks.invert, [test], line), line) if line.orelse else ""
             self.under(self.mask(test, line), line.body, line)
             if line.orelse:
-                self.under(other, line.orelse, line)
+                self.under(inverse, line.orelse, line)
             return None
-        self.emit(ast.If(test, self.block(line.body) or [self.put(ast.Pass(), line)], self.block(line.orelse)), line)
+        self.emit(ast.If(test, self.block(line.body) or [self.locate(ast.Pass(), line)], self.block(line.orelse)), line)
         return None
 
     def _For(self, line: ast.For) -> None:
@@ -251,8 +251,8 @@ class _Writer(Expressions):
         """A variable with a condition of lanes, and that of the branch around it."""
         made = self.fresh("mask")
         if self.masks:
-            test = self.put(ast.BinOp(self.named(self.masks[-1], line), ast.BitAnd(), test), line)
-        self.emit(ast.Assign([self.named(made, line, ast.Store())], test), line)
+            test = self.locate(ast.BinOp(self.name_node(self.masks[-1], line), ast.BitAnd(), test), line)
+        self.emit(ast.Assign([self.name_node(made, line, ast.Store())], test), line)
         return made
 
     def under(self, mask: str, lines: Sequence[ast.stmt], line: ast.AST) -> None:
@@ -263,18 +263,18 @@ class _Writer(Expressions):
         self.masks.pop()
         stored = dict.fromkeys([each.id for one in made for each in ast.walk(one)
                                 if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)])
-        kept = {word: self.fresh(f"{word}_was") for word in stored if word in had}
+        saved = {word: self.fresh(f"{word}_was") for word in stored if word in had}
         around, self.out = self.out, []
-        for word, was in kept.items():
-            self.emit(ast.Assign([self.named(was, line, ast.Store())], self.named(word, line)), line)
+        for word, was in saved.items():
+            self.emit(ast.Assign([self.name_node(was, line, ast.Store())], self.name_node(word, line)), line)
         self.out += made
-        for word, was in kept.items():
-            parts: list[ast.expr] = [self.named(each, line) for each in (mask, word, was)]
-            self.emit(ast.Assign([self.named(word, line, ast.Store())], self.call(masks.select, parts, line)), line)
+        for word, was in saved.items():
+            parts: list[ast.expr] = [self.name_node(each, line) for each in (mask, word, was)]
+            self.emit(ast.Assign([self.name_node(word, line, ast.Store())], self.call(masks.select, parts, line)), line)
         made, self.out = self.out, around
         if len(made) > LONG:
-            test = self.call(masks.any_lane, [self.named(mask, line)], line)
-            made = [self.put(ast.If(test, made, []), line)]
+            test = self.call(masks.any_lane, [self.name_node(mask, line)], line)
+            made = [self.locate(ast.If(test, made, []), line)]
         self.out += made
 
     def turn(self, lines: Sequence[ast.stmt]) -> list[ast.stmt]:
@@ -328,79 +328,79 @@ class _Writer(Expressions):
                 return self.remembered(function.value, [self.residual(each, node) for each in values], node)
             if self.engine == "plain" and is_tuple_class(function.value):
                 return self.new_tuple(self.residual(function, node, getattr(node.func, "id", "")), values, node)
-            if (found := self.worked_out(function.value, values, node)) is not None:
-                return found
+            if (answer := self.worked_out(function.value, values, node)) is not None:
+                return answer
             method = isinstance(function.value, MethodType) and isinstance(function.value.__self__, Record)
             if method or any(isinstance(each, Known) and isinstance(each.value, Record) for each in values):
                 return self.written_out(function.value, values, node, whole)
         elif self.engine == "plain" and isinstance(function, ast.Name) and function.id in self.tuple_classes:
             return self.new_tuple(function, values, node)
-        keywords = [self.put(ast.keyword(each.arg, self.residualize(each.value)), each) for each in node.keywords]
-        named = self.residual(function, node, getattr(node.func, "attr", getattr(node.func, "id", "")))
-        return self.put(ast.Call(named, [self.residual(each, node) for each in values], keywords), node)
+        keywords = [self.locate(ast.keyword(each.arg, self.residualize(each.value)), each) for each in node.keywords]
+        callee = self.residual(function, node, getattr(node.func, "attr", getattr(node.func, "id", "")))
+        return self.locate(ast.Call(callee, [self.residual(each, node) for each in values], keywords), node)
 
     def worked_out(self, function: Any, values: list[Value], node: ast.Call) -> Value | None:
-        """What some of Python's own functions come to, of what is known."""
+        """Work out some of Python's own functions of known arguments; None of others."""
         first = values[0] if values else None
         if (function in (getattr, len, zip, enumerate, reversed) and not node.keywords) or function is zip:
             if function is getattr and len(values) == 2 and isinstance(values[1], Known):
                 attribute = ast.Attribute(node.args[0], values[1].value, ast.Load())
                 return self._Attribute(ast.copy_location(attribute, node))
             if all(isinstance(each, Known) for each in values):
-                told = function(*[each.value for each in values])  # type: ignore[union-attr]
-                return Known(told if function is len else tuple(told))
+                answer = function(*[each.value for each in values])  # type: ignore[union-attr]
+                return Known(answer if function is len else tuple(answer))
         if function in (tuple, list) and isinstance(first, Known | ast.List | ast.Tuple):
             kind = ast.Tuple if function is tuple else ast.List
-            return first if isinstance(first, Known) else self.put(kind(first.elts, ast.Load()), node)
+            return first if isinstance(first, Known) else self.locate(kind(first.elts, ast.Load()), node)
         if function in (all, any) and isinstance(first, ast.List | ast.Tuple):
             return self.joined(first.elts, ast.And() if function is all else ast.Or(), node)
         if function is reduce and isinstance(values[0], Known) and values[0].value is add and isinstance(
                 values[1], ast.List | ast.Tuple):
             sums: ast.expr = reduce(
-                lambda left, right: self.put(ast.BinOp(left, ast.Add(), right), node), values[1].elts)
+                lambda left, right: self.locate(ast.BinOp(left, ast.Add(), right), node), values[1].elts)
             return sums
         return None
 
     def new_tuple(self, kind: ast.expr, values: list[Value], node: ast.Call) -> ast.expr:
         """A NamedTuple in plain Python."""
-        made = self.put(ast.Tuple([self.residual(each, node) for each in values], ast.Load()), node)
-        return self.put(ast.Call(self.outer("new", new, node), [kind, made], []), node)
+        made = self.locate(ast.Tuple([self.residual(each, node) for each in values], ast.Load()), node)
+        return self.locate(ast.Call(self.outer("new", new, node), [kind, made], []), node)
 
     def remembered(self, function: FunctionType, parts: list[ast.expr], node: ast.Call) -> Value:
         """A word of `teleop.stages.memory`: in plain Python its one line, else a call of an engine's instruction."""
         if self.masks and function is memory.put:
-            return self.call(masks.put_selected, [self.named(self.masks[-1], node), *parts], node)
+            return self.call(masks.put_selected, [self.name_node(self.masks[-1], node), *parts], node)
         if self.engine != "plain":
             return self.call(function, parts, node)
-        frame = Frame(function, place=self.frame.place or location(node))
+        frame = CallFrame(function, place=self.frame.place or location(node))
         frame.names = dict(zip(frame.arguments, parts, strict=True))
         line = self.definition(function).body[-1]
         self.frames.append(frame)
-        found: Value = Known(None)
+        answer: Value = Known(None)
         if isinstance(line, ast.Assign):
             self.emit(ast.Assign([self.target(line.targets[0])], self.residualize(line.value)), node)
         elif isinstance(line, ast.Return) and line.value is not None:
-            found = self.residualize(line.value)
+            answer = self.residualize(line.value)
         self.frames.pop()
-        return found
+        return answer
 
     def written_out(self, function: Any, values: list[Value], node: ast.Call, whole: bool) -> Value:
         """A call in the place of which the function's own lines stand."""
-        own = getattr(function, "__func__", function)
+        body_of = getattr(function, "__func__", function)
         if isinstance(function, MethodType):
             values = [Known(function.__self__), *values]
-        if not isinstance(own, FunctionType) or own.__code__.co_flags & CO_GENERATOR or node.keywords:
+        if not isinstance(body_of, FunctionType) or body_of.__code__.co_flags & CO_GENERATOR or node.keywords:
             raise self.refused(f"{ast.unparse(node.func)} is no plain function of arguments in their order, so a "
                                "record that is handed to it escapes")
-        if any(each.function.__code__ is own.__code__ for each in self.frames):
-            raise self.refused(f"{own.__qualname__} calls itself, so it cannot be written out")
+        if any(each.function.__code__ is body_of.__code__ for each in self.frames):
+            raise self.refused(f"{body_of.__qualname__} calls itself, so it cannot be written out")
         records = [each.value for each in values if isinstance(each, Known) and isinstance(each.value, Record)]
-        place = self.frame.place or (location(node) if own.__code__.co_filename != self.file else None)
-        frame = Frame(own, max([each.suffix for each in records], key=len), place)
+        place = self.frame.place or (location(node) if body_of.__code__.co_filename != self.file else None)
+        frame = CallFrame(body_of, max([each.suffix for each in records], key=len), place)
         if len(values) != len(frame.arguments):
             takes = number_of(len(frame.arguments), "argument")
-            raise self.refused(f"{own.__qualname__} takes {takes}, not {len(values)}")
-        lines, before, line = self.definition(own), len(self.out), self.line
+            raise self.refused(f"{body_of.__qualname__} takes {takes}, not {len(values)}")
+        lines, before, line = self.definition(body_of), len(self.out), self.line
         self.frames.append(frame)
         for name, value in zip(frame.arguments, values, strict=True):
             if isinstance(value, Known):
@@ -408,19 +408,19 @@ class _Writer(Expressions):
             elif self.lasting(value):
                 frame.names[name] = value
             else:
-                kept = self.fresh(name)
-                frame.names[name] = self.named(kept, node)
-                self.emit(ast.Assign([self.named(kept, node, ast.Store())], value), node)
-        told = self.body(lines.body)
+                saved = self.fresh(name)
+                frame.names[name] = self.name_node(saved, node)
+                self.emit(ast.Assign([self.name_node(saved, node, ast.Store())], value), node)
+        answer = self.body(lines.body)
         self.frames.pop()
         self.line = line
         if len(self.out) > before and not whole:
-            raise self.refused(f"{own.__qualname__} has lines of its own and stands in the midst of an expression, "
+            raise self.refused(f"{body_of.__qualname__} has lines of its own and stands in the midst of an expression, "
                                "before which they would be worked out; let its call be all of the right side")
-        return Known(None) if told is None else told
+        return Known(None) if answer is None else answer
 
     def lasting(self, value: ast.expr) -> bool:
-        """Is it of what no function that is handed it can set: names of the one that hands it over, and numbers."""
+        """True if no function that is handed the value can set it: a name of the caller, or a number."""
         if isinstance(value, ast.BinOp):
             return self.lasting(value.left) and self.lasting(value.right)
         while isinstance(value, ast.Attribute):

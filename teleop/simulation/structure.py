@@ -22,7 +22,7 @@ SENSED = {"m": "f_h", "s": "f_env"}  # the external force at each end
 
 
 class EndStructure(NamedTuple):
-    """What decides the lines of one end: its stages in order, what its law sums over the axes, and its messages."""
+    """Structure of one end: its stages in order, the fields that its law sums over the axes, and its messages."""
 
     has: EndHas
     stages: tuple[type[Stage], ...]
@@ -39,7 +39,7 @@ class EndStructure(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """That of a scene. Scenes of one structure differ in numbers, and in the functions of their laws and bodies."""
+    """Structure of a scene. Scenes of one structure differ in numbers, and in the functions of their laws and bodies."""
 
     axes: int
     has: RunHas
@@ -49,8 +49,8 @@ class Structure(NamedTuple):
 
 def structure_of(scene: Scene) -> Structure:
     """The structure of a scene; kept with the scene, which does not change."""
-    kept: Structure | None = vars(scene).get("_structure")
-    if kept is None:
+    structure: Structure | None = vars(scene).get("_structure")
+    if structure is None:
         late = scene.leaves_out("m") is not None or scene.leaves_out("s") is not None
         has = RunHas(
             slave=scene.slave is not None, hand=scene.reference is not None,
@@ -60,8 +60,8 @@ def structure_of(scene: Scene) -> Structure:
             energy=scene.energy, waves=scene.energy and scene.has_waves,
             stored=scene.energy and scene.slave is not None and stores(scene.laws[0]))
         slave = _end(scene, "s", has) if has.slave else EndStructure(EndHas(), (), ())
-        kept = vars(scene)["_structure"] = Structure(scene.axes, has, _end(scene, "m", has), slave)
-    return kept
+        structure = vars(scene)["_structure"] = Structure(scene.axes, has, _end(scene, "m", has), slave)
+    return structure
 
 
 def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
@@ -73,10 +73,10 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
     rx: Any
     tx, rx = messages(scene.laws[0], dt)[::1 if e == "m" else -1] if run.slave else (None, None)
     state = type(start_of(scene.laws[0], e, dt)[0]) if run.slave else None
-    asked = Asked(scene, e, scene.per_axis(f"device_{e}")[0], reading, tx, rx, state)
-    places = [place for place in STAGES if place.wanted(asked)]
+    end = Asked(scene, e, scene.per_axis(f"device_{e}")[0], reading, tx, rx, state)
+    places = [place for place in STAGES if place.wanted(end)]
     stages, names = tuple([place.stage() for place in places]), {place.name for place in places}
-    of_stages = tuple([stage.structure(asked) for stage in stages])
+    of_stages = tuple([stage.structure(end) for stage in stages])
     touch, observed = "f" in reading, "observer" in names
     inner = master_has_inner(scene) if e == "m" else (
         scene.slave is not None and (any(body.friction > 0.0 for body in scene.per_axis("slave")) or any(
@@ -109,17 +109,17 @@ def sums_type(law: Any, e: str, dt: float) -> Any:
 
 
 def live_structure(structure: Structure, e: str, sensor: bool | None = None) -> Structure:
-    """That of a live end, whose force is multiplied by its guard's gain whether there is a watchdog or not.
+    """Structure of a live end, whose force is multiplied by its guard's gain whether there is a watchdog or not.
 
     `sensor`: does its device sense the external force; None: it does where a run in virtual time works it out.
     """
-    own: EndStructure = getattr(structure, e)
-    found = {stage.name: structure for stage, structure in zip(own.stages, own.of_stages, strict=True)}
-    places = [place for place in STAGES if place.name in {"watchdog", *found}]
-    felt = own.has.felt if sensor is None else sensor
-    alone = own._replace(has=own.has._replace(live=True, leaves_out=True, felt=felt),
+    shape: EndStructure = getattr(structure, e)
+    of_stage = {stage.name: structure for stage, structure in zip(shape.stages, shape.of_stages, strict=True)}
+    places = [place for place in STAGES if place.name in {"watchdog", *of_stage}]
+    felt = shape.has.felt if sensor is None else sensor
+    alone = shape._replace(has=shape.has._replace(live=True, leaves_out=True, felt=felt),
                          stages=tuple([place.stage() for place in places]),
-                         of_stages=tuple([found.get(place.name) for place in places]))
+                         of_stages=tuple([of_stage.get(place.name) for place in places]))
     return structure._replace(m=alone) if e == "m" else structure._replace(s=alone)
 
 
@@ -133,16 +133,16 @@ def run_of(structure: Structure, recorder: Recorder) -> Run:
 
 
 def _end_of(name: str, structure: Structure) -> End:
-    own: EndStructure = getattr(structure, name)
-    e = End(name, structure.axes, own.has)
-    e.stages = tuple([stage(e, structure) for stage, structure in zip(own.stages, own.of_stages, strict=True)])
+    shape: EndStructure = getattr(structure, name)
+    e = End(name, structure.axes, shape.has)
+    e.stages = tuple([stage(e, structure) for stage, structure in zip(shape.stages, shape.of_stages, strict=True)])
     e.stage = stages_by_name()(**{stage.name: stage for stage in e.stages})
-    e.fields, e.tx_wave, e.rx_wave, e.rx_fields = own.fields, own.tx_wave, own.rx_wave, own.rx_fields
-    e.shown = tuple([Shown(f"{a.suffix}_{field}", a, field) for field in own.shows for a in e.axes])
+    e.fields, e.tx_wave, e.rx_wave, e.rx_fields = shape.fields, shape.tx_wave, shape.rx_wave, shape.rx_fields
+    e.shown = tuple([Shown(f"{a.suffix}_{field}", a, field) for field in shape.shows for a in e.axes])
     e.cells = tuple([cell for column in end_columns(e) for cell in column.cells])
     e.memory = (
-        *[(a, field) for a in e.axes for field in ("x", "v", "f")], *[(a, "z") for a in e.axes if own.has.inner],
-        *[(a, "x_before") for a in e.axes if own.has.dx], *[cell for stage in e.stages for cell in stage.memory(e)],
+        *[(a, field) for a in e.axes for field in ("x", "v", "f")], *[(a, "z") for a in e.axes if shape.has.inner],
+        *[(a, "x_before") for a in e.axes if shape.has.dx], *[cell for stage in e.stages for cell in stage.memory(e)],
         *[(a, "s") for a in e.axes])
     return e
 
@@ -162,12 +162,12 @@ def end_columns(e: End) -> list[Column]:
     fields = dict.fromkeys([one.field for one in e.shown])
     shown = [per_axis(f"{field}_{e.name}", tuple([one for one in e.shown if one.field == field]), "value")
              for field in fields]
-    found = [x, v, *before, *felt, f, *after, *shown]
-    names = [column.name.removesuffix("@") for column in found]
+    all_columns = [x, v, *before, *felt, f, *after, *shown]
+    names = [column.name.removesuffix("@") for column in all_columns]
     if double := next((name for name in names if names.count(name) > 1), None):
         raise Refused(f"the law shows {double.rpartition('_')[0]}, and {double} is a column of every record; give that "
                       "field of its state another name")
-    return found
+    return all_columns
 
 
 def columns(scene: Scene, e: str, sensor: bool | None = None) -> tuple[str, ...]:
@@ -192,10 +192,10 @@ def numbers_of(scene: Scene, starts: Mapping[str, Sequence[float]]) -> Any:
     dt = scene.dt_ns / 1e9
     ends = {}
     for e, start in starts.items():
-        own: EndStructure = getattr(structure_of(scene), e)
+        shape: EndStructure = getattr(structure_of(scene), e)
         places = list(start)
-        found = {stage.name: stage.given(scene, e, dt, places) for stage in own.stages}
-        ends[e] = record("GivenEnd", tuple(found))(*found.values())
+        numbers = {stage.name: stage.numbers(scene, e, dt, places) for stage in shape.stages}
+        ends[e] = record("GivenEnd", tuple(numbers))(*numbers.values())
     return record("Given", tuple(ends))(*ends.values())
 
 

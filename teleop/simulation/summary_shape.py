@@ -1,4 +1,4 @@
-"""What the summary of a run must look like for a table to be made of it, whoever wrote it."""
+"""Shape that the summary of a run must have for a table to be made of it, whoever wrote it."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ _COUNTS: dict[str, Check] = {each.name: COUNT for each in fields(Packets)} | {"r
 def packets(value: object, name: str) -> None:
     """The counts of one direction."""
     record({}, _COUNTS)(value, name)
-    other = next((key for key in value if key not in _COUNTS), None)  # type: ignore[attr-defined]  # an object
-    if other is not None:
-        raise Misshapen(f"{name} has {other[:40]!r}, which is no count of packets")
+    unknown = next((key for key in value if key not in _COUNTS), None)  # type: ignore[attr-defined]  # an object
+    if unknown is not None:
+        raise Misshapen(f"{name} has {unknown[:40]!r}, which is no count of packets")
 
 
 def end(value: object, name: str) -> None:
-    """What an end of a live run said of itself."""
+    """Summary of one end of a live run."""
     record({}, {
         "status": text, "sentence": text, "ticks": COUNT, "skipped": whole(), "events": optional(each(EVENT)),
         "late_us": optional(named(real)), "cpu": optional(real), "run_time": optional(real), "rtt": optional(_TIMES),

@@ -23,11 +23,11 @@ from teleop.stages.end import Axis, End, Run, elapsed, law_of
 from teleop.stages.memory import LEFT_OUT, at
 
 
-def begin(run: Run, e: End, given: Any) -> None:
+def begin(run: Run, e: End, numbers: Any) -> None:
     """An end before its first tick: its law at rest where the end is, nothing held, nothing received."""
     read_directly(e)
     for stage in e.stages:
-        stage.begin(run, e, getattr(given, stage.name))
+        stage.begin(run, e, getattr(numbers, stage.name))
     for a in e.axes:
         a.at = start_at(a.x_read, a.v_read, a.f_read if e.has.touch else nan, run.dt)
     for stage in e.stages:
@@ -46,7 +46,7 @@ def begin(run: Run, e: End, given: Any) -> None:
 
 
 def tick(run: Run, e: End, k: int) -> None:
-    """One end's tick k: its readings, its law, and the force that is held until the next."""
+    """Run one end's tick k: its readings, its law, and the force that is held until the next."""
     if e.has.age:
         e.age = (k - e.newest) * run.dt if e.newest >= 0 else inf
     read_directly(e)
@@ -71,7 +71,7 @@ def tick(run: Run, e: End, k: int) -> None:
 
 
 def read_directly(e: End) -> None:
-    """What a device reads as it is; of the rest there are stages."""
+    """Read the device directly, where no stage stands between it and its law."""
     for a in e.axes:
         if not e.stage.encoder:
             a.x_read = a.x
@@ -82,13 +82,13 @@ def read_directly(e: End) -> None:
 
 
 def situation(run: Run, e: End, a: Axis) -> Any:
-    """What the law is told of one axis."""
+    """Build the `At` passed to the law for one axis."""
     return At(a.x_read, a.v_read, a.f_read if e.has.touch else nan, a.f, a.dx if e.has.dx else nan, fresh(run, e),
               age(run, e), run.dt, span(run, e), gain(e))
 
 
 def fresh(run: Run, e: End) -> Any:
-    """Is there a message to play at this tick."""
+    """True if there is a message to play at this tick."""
     if not run.has.slave:
         return False
     return True if run.has.repeats or run.has.integral else e.got
@@ -137,8 +137,8 @@ def answer(run: Run, e: End) -> None:
 
 
 def loop(  # noqa: PLR0912 - of which a structure has few
-        run: Run, given: Any, law: Any, dt: float, count: int, x_limit: Any, start_m: Any, start_s: Any,
-        play_m: Any, play_s: Any, size: int, ref: Any, held: Any, asked: Any) -> Any:
+        run: Run, numbers: Any, law: Any, dt: float, count: int, x_limit: Any, start_m: Any, start_s: Any,
+        play_m: Any, play_s: Any, size: int, ref: Any, held: Any, request: Any) -> Any:
     """A run of `count` ticks; what it returns is the recorder's."""
     run.law = law
     run.dt = dt
@@ -148,14 +148,14 @@ def loop(  # noqa: PLR0912 - of which a structure has few
     if run.has.slave:
         place_slave(run, start_s, held)
         sense_slave(run)
-    begin(run, run.m, given.m)
+    begin(run, run.m, numbers.m)
     if run.has.slave:
-        begin(run, run.s, given.s)
+        begin(run, run.s, numbers.s)
         connect(run, size)
     for e in run.ends:
         if e.has.leaves_out:
             e.ran = -1
-    run.recorder.begin(run, asked, size)
+    run.recorder.begin(run, request, size)
     for k in range(count):
         # 1. what is sensed
         sense_master(run, k)
@@ -183,12 +183,12 @@ def loop(  # noqa: PLR0912 - of which a structure has few
         if run.recorder.lost(run, x_limit, k):
             break
     else:
-        return run.recorder.told(run, count, True)
-    return run.recorder.told(run, k + 1, False)
+        return run.recorder.outcome(run, count, True)
+    return run.recorder.outcome(run, k + 1, False)
 
 
 def attend(run: Run, e: End, k: int, orders: Any) -> None:
-    """One end's tick k, if it is run; one that is left out is left out whole, and the force is held."""
+    """Run one end's tick k unless it is skipped; a skipped tick is skipped whole, and the force is held."""
     if run.has.deadband:
         e.stage.deadband.send = 0.0  # unless the tick is run
     if at(orders, k) > LEFT_OUT:
@@ -196,7 +196,7 @@ def attend(run: Run, e: End, k: int, orders: Any) -> None:
 
 
 def run_late(run: Run, e: End, k: int) -> None:
-    """One end's tick k, before which ticks may have been left out."""
+    """Run one end's tick k, before which ticks may have been skipped."""
     ticks = k - e.ran
     e.ran = k
     e.span = ticks * run.dt
@@ -260,7 +260,7 @@ def move_master(run: Run, k: int) -> None:
         elif run.m.has.inner:
             a.x, a.v, a.z = run.move_held(a.c, a.x, a.v, a.f, 0.0, 0.0, a.z)
         else:
-            a.x, a.v, a.more = run.move_free(a.c, a.x, a.v, -a.f)
+            a.x, a.v, a.overflowed = run.move_free(a.c, a.x, a.v, -a.f)
         if run.has.hand and run.m.has.felt:
             a.slope = (at(a.r, k + 1) - at(a.r, k)) / run.dt
 
@@ -269,16 +269,18 @@ def move_slave(run: Run) -> None:
     """The slave's body over one tick."""
     for a in run.s.axes:
         if run.s.has.inner:
-            a.x, a.v, a.more, a.z = a.move(a.c, a.x, a.v, a.f, a.z)
+            a.x, a.v, a.overflowed, a.z = a.move(a.c, a.x, a.v, a.f, a.z)
         else:
-            a.x, a.v, a.more = a.move(a.c, a.x, a.v, a.f)
-        run.capped = run.capped + a.more
+            a.x, a.v, a.overflowed = a.move(a.c, a.x, a.v, a.f)
+        run.capped = run.capped + a.overflowed
 
 
 # One end by itself
 
 
-def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, touch0: Any) -> Generator[Any, Any, None]:
+def live(
+        run: Run, e: End, numbers: Any, law: Any, dt: float, x0: Any, v0: Any, touch0: Any
+) -> Generator[Any, Any, None]:
     """A live end: a generator that is sent what the end has at a tick, and answers with force, message, what its waves
     have come to where that is sent along, and row."""
     run.law = law
@@ -289,7 +291,7 @@ def live(run: Run, e: End, given: Any, law: Any, dt: float, x0: Any, v0: Any, to
         a.v = v0[a.i]
         if e.has.felt:
             a.f_ext = touch0[a.i]
-    begin(run, e, getattr(given, e.name))
+    begin(run, e, getattr(numbers, e.name))
     if e.has.gain:
         e.stage.watchdog.g_held = 1.0
     k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present = yield
@@ -329,5 +331,5 @@ def set_switches(e: End, clutch: float, present: float) -> None:
 
 
 def row(e: End) -> tuple[float, ...]:
-    """One row of an end's record; its columns are `teleop.simulation.structure.columns`."""
+    """Row of an end's record; its columns are `teleop.simulation.structure.columns`."""
     return tuple([getattr(record, field) for record, field in e.cells])

@@ -37,7 +37,7 @@ ForceSource = Literal["sensor", "bodies", "unknown"]
 
 
 class EndRecord(NamedTuple):
-    """What one end wrote down: the ticks it ran, its rows, the packets it played."""
+    """Record of one end: the ticks it ran, its rows, the packets it played."""
 
     ticks: Any  # whole numbers, one for each row
     rows: Sequence[float] | Rows  # flat floats, or what reads them
@@ -101,7 +101,7 @@ def end_columns(prepared: Prepared, e: str, record: EndRecord) -> Columns:
 
 
 def far_apart(ticks: Sequence[int], first: int = 0) -> bool:
-    """Do these ticks, of which `first` was the first that was due, leave out too many to look at each of those?"""
+    """True if these ticks, of which `first` was the first due, skip too many to look at each of those."""
     return len(ticks) > 0 and int(ticks[-1]) - first >= AHEAD + AHEAD_EACH * len(ticks)
 
 
@@ -152,16 +152,16 @@ def _ledgers(sums: Columns) -> dict[str, Callable[[], NDArray[Any]]]:
 
     def port() -> NDArray[Any]:
         with np.errstate(all="ignore"):
-            given: NDArray[Any] = sums["E_port_m"]
+            port_energy: NDArray[Any] = sums["E_port_m"]
             if "E_port_s" in sums:
-                given -= sums["E_port_s"]
-            return given
+                port_energy -= sums["E_port_s"]
+            return port_energy
 
     def law() -> NDArray[Any]:
         with np.errstate(all="ignore"):
-            kept: NDArray[Any] = sums["E_law_m"]
-            kept += sums["E_law_s"]
-            return kept
+            total: NDArray[Any] = sums["E_law_m"]
+            total += sums["E_law_s"]
+            return total
 
     return {**({"E_link": link} if "E_in_fwd" in sums else {}), "E_port": port,
             **({"E_law": law} if "E_law_m" in sums else {})}
@@ -190,7 +190,7 @@ class _Table:
         return self._read(block.start, block.stop)
 
     def column(self, name: str) -> NDArray[np.float64]:
-        """One column of all rows."""
+        """Column of all rows."""
         import numpy as np
 
         at = self.places[name]
@@ -203,13 +203,13 @@ class _Table:
 
 
 def _slices(flat: NDArray[np.float64], width: int) -> Callable[[int, int], NDArray[np.float64]]:
-    """What gives the rows from one up to another of a table that lies flat in memory."""
+    """Reader of the rows from one up to another of a table that lies flat in memory."""
     whole = flat.reshape(-1, width)
     return lambda start, stop: whole[start:stop]
 
 
 def _per_axis(part: NDArray[Any], at: slice) -> NDArray[Any]:
-    """One column of some rows as an array of shape (axes, rows)."""
+    """Column of some rows as an array of shape (axes, rows)."""
     return part[:, at].T
 
 
@@ -235,7 +235,7 @@ def _hand_force(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[An
     if reference is None:
         out[:] = 0.0
         return out
-    own, dt = master_coefficients(scene), scene.dt_ns / 1e9
+    coefficients, dt = master_coefficients(scene), scene.dt_ns / 1e9
     paths = [np.asarray(axis, dtype=float) for axis in reference]
     held = np.zeros((scene.axes, 1))  # the force of the tick before
     with np.errstate(all="ignore"):  # the last rows of a run that diverged
@@ -244,7 +244,7 @@ def _hand_force(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[An
             x, v, f = (_per_axis(part, table.places[name]) for name in ("x_m", "v_m", "f_m"))
             before, held = np.concatenate([held, f[:, :-1]], axis=1), f[:, -1:]
             k = np.asarray(table.ticks[block], dtype=np.int64)
-            for i, (c, r) in enumerate(zip(own, paths, strict=True)):
+            for i, (c, r) in enumerate(zip(coefficients, paths, strict=True)):
                 slope = np.where(k > 0, (r[k] - r[k - 1]) / dt, 0.0)
                 force = grip_force(c, x[i], v[i], before[i], r[k], slope)  # type: ignore[arg-type]  # rows at once
                 out[(block, i)[: out.ndim]] = force

@@ -66,20 +66,20 @@ def run_prepared(prepared: Prepared, *, seed: int = 0, clock: Callable[[], int] 
     rows: dict[str, Any] = {e: array("d") if scene.ticks > LONG else [] for e in ("m", "s")}
     reference, loop, starts = prepared.reference, prepared.loop, prepared.starts
     arguments = (
-        prepared.given, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, starts["m"], starts["s"],
-        *orders, size, reference, bodies.held(),
+        prepared.numbers, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, starts["m"], starts["s"],
+        *orders, size, reference, bodies.numbers(),
         (rows["m"].extend, rows["s"].extend),
     )
     began = clock() if clock else 0
     ran, capped, end, inner = attempt(scene.laws[0], loop, *arguments)
     took = clock() - began if clock else None
-    sent = None if scene.deadband is None else [_told(scene, e, rows[e], ran) for e in ("m", "s")]
+    sent = None if scene.deadband is None else [sent_ticks(scene, e, rows[e], ran) for e in ("m", "s")]
     notes = [f"{number_of(capped, 'tick')} had more contact events than are followed in one tick"] * (capped > 0)
     reports = integration(scene, bodies, inner)
     if bodies.method:
-        from teleop.simulation.integrators.stepped import told
+        from teleop.simulation.integrators.stepped import method_note
 
-        notes = told(bodies) + notes
+        notes = method_note(bodies) + notes
         reports["bodies"] = bodies.method
     return result_of(prepared, plans, rows, ran, end, seed=seed, sent=sent, took=took, notes=notes, reports=reports)
 
@@ -92,7 +92,7 @@ def result_of(
     """The result of a run in virtual time of which `rows` has each end's record, flat.
 
     `end`: the positions that left the bounds after `ran` ticks, None of a run that came to its end. `took`: ns. `sent`:
-    see `_told`. `forces`: where each end's external force is from; left out, the scene's own bodies tell it. `notes`
+    see `sent_ticks`. `forces`: the source of each end's external force; left out, the scene's own bodies. `notes`
     are told with those that follow from the run, `reports` beside its figures. `judge` says how it ended.
     """
     scene, reports = prepared.scene, dict(reports or {})
@@ -105,23 +105,23 @@ def result_of(
     }
     trace = dict(assemble(prepared, records))
     trip = round_trip(None if plan is None else plan.played_at for plan in plans) if prepared.still else 0
-    came = judge(prepared, trace, ran, end, trip)
+    ending = judge(prepared, trace, ran, end, trip)
     # Of a run that ended early, only what was sent until then counts.
     known = sent is None and ran == scene.ticks
     packets = counts_of(plans, ran) if known else packet_counts(scene, seed, ran, sent)
-    told = [*untuned(scene), *law_notes(scene, *of_plans(scene, plans, ran)), *notes]
-    told += too_old(scene, "master", bwd, ran)
-    told += too_old(scene, "slave", fwd, ran)
-    told += over_tolerance(reports, position_unit(scene))
-    told += unplayed(scene, trace, packets, seed=seed) + faded(scene, trace)
-    told += came.notes
+    sentences = [*untuned(scene), *law_notes(scene, *of_plans(scene, plans, ran)), *notes]
+    sentences += too_old(scene, "master", bwd, ran)
+    sentences += too_old(scene, "slave", fwd, ran)
+    sentences += over_tolerance(reports, position_unit(scene))
+    sentences += unplayed(scene, trace, packets, seed=seed) + faded(scene, trace)
+    sentences += ending.notes
     return Result.make(
-        scene, seed=seed, mode="virtual", status=came.status, sentence=came.sentence, ticks=ran,
+        scene, seed=seed, mode="virtual", status=ending.status, sentence=ending.sentence, ticks=ran,
         run_time=None if took is None else took / 1e9, trace=trace, packets={} if scene.slave is None else packets,
-        notes=told, extra=reports, at_rest=came.at_rest)
+        notes=sentences, extra=reports, at_rest=ending.at_rest)
 
 
-def _told(scene: Scene, e: str, rows: Any, ran: int) -> Any:
+def sent_ticks(scene: Scene, e: str, rows: Any, ran: int) -> Any:
     """The ticks at which an end sent its message, as its record has them: (ran,) truths."""
     import numpy as np
 

@@ -23,15 +23,15 @@ class ComputeDelayStage(Stage):
     axis_kind: ClassVar[type[Record]] = Delayed
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return (0.0,) * scene.per_axis(f"device_{e}")[0].delay
 
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
         return tuple([(line, "delay_line") for line in self.axes])
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
         for line in self.axes:
-            line.delay_line = given
+            line.delay_line = numbers
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         for line in self.axes:

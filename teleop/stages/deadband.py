@@ -88,7 +88,7 @@ class DeadbandStage(Stage):
         self.compared = tuple([Compared(f"{a.suffix}_{field}", a, field) for field in structure for a in e.axes])
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         deadband = scene.deadband
         # Half a tick of grace, so that a time of n ticks means n whatever n*dt rounds to.
         return deadband.k, deadband.floor, inf if deadband.keep_alive is None else deadband.keep_alive - 0.5 * dt
@@ -96,8 +96,8 @@ class DeadbandStage(Stage):
     def columns(self, e: End) -> tuple[Column, ...]:
         return (Column(f"sent_{e.name}", ((self, "send"),)),)
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.k, self.floor, self.renews = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.k, self.floor, self.renews = numbers
         self.silent = inf
         self.send = 0.0
         for field in self.compared:

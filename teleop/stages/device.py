@@ -1,4 +1,4 @@
-"""What stands between a device and its law: encoder, velocity estimator, late and slow force.
+"""Device between the body and its law: encoder, velocity estimator, late and slow force.
 
 These set a device's Z-width. At a tick, in this order: the encoder's reading of the position, the velocity made of it,
 the observer and the law, the computation's delay, the renewal of the force; then the passivity controller, watchdog and

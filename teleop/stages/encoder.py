@@ -24,7 +24,7 @@ class Encoder:
         object.__setattr__(self, "phase", number("phase", self.phase, low=0.0, high=1.0))
 
     def coefficients(self) -> tuple[float, float]:
-        """What `encode` computes with."""
+        """Coefficients of `encode`."""
         return self.step, self.phase
 
 
@@ -45,16 +45,16 @@ class EncoderStage(Stage):
     c_enc: Any  # (step, phase) for each axis
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         c = tuple([device.encoder.coefficients() for device in scene.per_axis(f"device_{e}")])
-        places[:] = [encode(own, x) for own, x in zip(c, places, strict=True)]
+        places[:] = [encode(step_phase, x) for step_phase, x in zip(c, places, strict=True)]
         return c
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (per_axis(f"q_{e.name}", e.axes, "x_read"),)
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.c_enc = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.c_enc = numbers
         for a in e.axes:
             a.x_read = encode(self.c_enc[a.i], a.x)
 

@@ -1,4 +1,4 @@
-"""What the tick is written over: a run, its ends, their axes, and the stages between a device and its law."""
+"""Records that the tick is written over: a run, its ends, their axes, and the stages between a device and its law."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def declared(kind: type[Record]) -> dict[str, str]:
     """The fields that a class of records declares and has no value for, with their types as they are written."""
     if kind not in _DECLARED:
         written = [vars(each).get("__annotations__", {}) for each in kind.__mro__]
-        _DECLARED[kind] = {name: type_ for own in written for name, type_ in own.items() if not hasattr(kind, name)}
+        _DECLARED[kind] = {name: type_ for fields in written for name, type_ in fields.items() if not hasattr(kind, name)}
     return _DECLARED[kind]
 
 
-def called(kind: type[Record]) -> tuple[str, ...]:
-    """Those of its fields that are functions; a record is made with them."""
+def function_fields(kind: type[Record]) -> tuple[str, ...]:
+    """Fields of a record that are functions; it is made with them."""
     return tuple([name for name, written in declared(kind).items() if written.startswith("Callable")])
 
 
@@ -44,7 +44,7 @@ SWITCHES = ("clutch", "present")  # of an operator, at the master
 
 
 class RunHas(NamedTuple):
-    """What a run has; decided when its loop is made."""
+    """Features of a run, decided when its loop is made."""
 
     slave: bool = True  # no slave: a one-port law, which renders by itself
     hand: bool = False
@@ -59,7 +59,7 @@ class RunHas(NamedTuple):
 
 
 class EndHas(NamedTuple):
-    """What one end has; decided when the loop is made."""
+    """Features of one end, decided when the loop is made."""
 
     live: bool = False  # runs by itself, without the other end
     leaves_out: bool = False  # ticks may be left out at it, so the time from one to the next varies
@@ -76,7 +76,7 @@ class EndHas(NamedTuple):
 
 
 class Axis(Record):
-    """One axis of an end. SI units."""
+    """Axis of an end. SI units."""
 
     passing: ClassVar[tuple[str, ...]] = ("at",)
     i: int
@@ -89,7 +89,7 @@ class Axis(Record):
     z: Any  # its inner state
     slope: float  # of the hand's reference over the last tick, m/s
     r: Any  # the hand's reference at the ticks
-    more: Any  # 1 if the last tick had more contact events than are followed
+    overflowed: Any  # 1 if the last tick had more contact events than are followed
     # what the device reads
     x_read: float
     v_read: float
@@ -179,9 +179,9 @@ class Run(Record):
 
 
 class Recorder(Record):
-    """What a run leaves behind."""
+    """Recorder of a run."""
 
-    def begin(self, run: Run, asked: Any, size: int) -> None:
+    def begin(self, run: Run, request: Any, size: int) -> None:
         """Before the first tick. `asked`: where to put it; `size`: how many ticks messages are on their way."""
 
     def step(self, run: Run, k: int) -> None:
@@ -191,8 +191,8 @@ class Recorder(Record):
         """True if the run left its bounds in tick k, and ends with it."""
         return not all(-x_limit < a.x < x_limit for e in run.ends for a in e.axes)
 
-    def told(self, run: Run, ticks: int, complete: bool) -> Any:
-        """What the run returns after so many ticks; `complete`: it came to its end."""
+    def outcome(self, run: Run, ticks: int, complete: bool) -> Any:
+        """Value that the run returns after so many ticks; `complete`: it came to its end."""
 
 
 class Column(NamedTuple):
@@ -203,7 +203,7 @@ class Column(NamedTuple):
 
 
 class Stage(Record):
-    """One of what stands between a device and its law, or between the law and the motor.
+    """Stage between a device and its law, or between the law and the motor.
 
     A subclass says in one file which numbers it is given, what it keeps in variables of its own, what it does in a
     tick, and what of it is recorded. At a tick the stages `read` in their order, then `situate`, then `receive`; then
@@ -216,13 +216,13 @@ class Stage(Record):
     wants_dx: ClassVar[bool] = False
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         """Its numbers; `places` are those where the end starts, as the stages before read them (m, per axis)."""
         return ()
 
     @staticmethod
     def structure(end: Any) -> Any:
-        """What decides its lines beside its being there, hashable; `end` is a `teleop.stages.order.Asked`."""
+        """Hashable value that decides its lines; `end` is a `teleop.stages.order.Asked`."""
         return None
 
     def __init__(self, e: End, structure: Any) -> None:
@@ -231,14 +231,14 @@ class Stage(Record):
         self.axes: tuple[Any, ...] = tuple([self.axis_kind(a.suffix) for a in e.axes])
 
     def columns(self, e: End) -> tuple[Column, ...]:
-        """What of it is recorded."""
+        """Columns of the record that it has."""
         return ()
 
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
-        """What of it is a state of the loop, where that is linear."""
+        """Fields that are states of the loop, where that is linear."""
         return ()
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
         """Before the first tick."""
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:

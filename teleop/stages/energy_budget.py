@@ -21,7 +21,7 @@ BURST = 1.0  # s, whose energy the budget holds at most
 
 
 def spend(left: float, work: float) -> float:
-    """What is left (J) of an end's budget when the held force did `work` (J) on the device along one axis.
+    """Energy left (J) of an end's budget when the held force did `work` (J) on the device along one axis.
 
     Work that is taken from the device (below zero) does not fill the budget.
     """
@@ -29,7 +29,7 @@ def spend(left: float, work: float) -> float:
 
 
 def refill(c: BudgetLimits, left: float) -> float:
-    """What is left of an end's budget with what it gains in a tick: at most the energy of one second."""
+    """Energy left of an end's budget with its gain in a tick: at most the energy of one second."""
     full, gain = c
     return min(left + gain, full)
 
@@ -75,14 +75,14 @@ class EnergyBudgetStage(Stage):
     gained: Any  # ticks that it gains for at this one
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return scene.per_axis("cap")[0].budget(dt)  # the same on all
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (Column(f"E_left_{e.name}", ((self, "E_left"),)),)
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.c_power = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.c_power = numbers
         self.E_left = self.c_power.full
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:

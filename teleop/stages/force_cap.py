@@ -61,16 +61,16 @@ class Cap:
         return inf if self.f_max is None else self.f_max
 
     def limits(self, dt: float) -> CapLimits:
-        """What `cap` computes with."""
+        """Coefficients of `cap`."""
         return CapLimits(self.most, inf if self.slew is None else self.slew * dt, LONGEST / dt + 0.5)
 
     def speed(self) -> SpeedLimits | None:
-        """What `limit_speed` computes with."""
+        """Coefficients of `limit_speed`; None without a velocity cap."""
         return None if self.v_max is None else SpeedLimits(
             self.v_max, 1.0 / ((1.0 - FADES_FROM) * self.v_max), self.most)
 
     def budget(self, dt: float) -> BudgetLimits | None:
-        """What `spend`, `refill` and `limit_power` compute with."""
+        """Coefficients of `spend`, `refill` and `limit_power`; None without a power budget."""
         return None if self.power is None else BudgetLimits(self.power * BURST, self.power * dt)
 
 
@@ -143,11 +143,11 @@ class ForceCapStage(Stage):
         self.slewed = structure
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return tuple([cap.limits(dt) for cap in caps(scene)])
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.c_cap = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.c_cap = numbers
         if self.slewed:
             self.shareless = 0.0
 

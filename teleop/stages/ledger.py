@@ -30,7 +30,7 @@ class WaveLedger(Stage):
         out, inward = ("fwd", "bwd") if e.name == "m" else ("bwd", "fwd")
         return Column(f"E_in_{out}", ((self, "E_in"),)), Column(f"E_out_{inward}", ((self, "E_out"),))
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
         self.E_in = self.E_out = 0.0
 
     def act(self, run: Run, e: End, k: int) -> None:
@@ -65,7 +65,7 @@ class PortLedger(Stage):
     def columns(self, e: End) -> tuple[Column, ...]:
         return (Column(f"E_port_{e.name}", ((self, "E_port"),)),)
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
         self.E_port = 0.0
         if e.stage.encoder:
             for a, moved in zip(e.axes, self.axes, strict=True):
@@ -100,7 +100,7 @@ class LawLedger(Stage):
     def columns(self, e: End) -> tuple[Column, ...]:
         return (Column(f"E_law_{e.name}", ((self, "E_law"),)),)
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
         self.E_law = 0.0
 
     def act(self, run: Run, e: End, k: int) -> None:

@@ -1,4 +1,4 @@
-"""What the tick keeps and reads by number: rings of messages on their way, paths and schedules drawn up front.
+"""Memory that the tick reads by number: rings of messages on their way, paths and schedules drawn up front.
 
 In plain Python each stands as its one line where it is called; a compiled engine has instructions of these names
 (`teleop.sweeps.kernels.rings`).
@@ -16,14 +16,14 @@ def ring(message: Any, size: int) -> Any:
     return [message] * size
 
 
-def put(kept: Any, k: Any, size: int, message: Any) -> None:
+def put(rows: Any, k: Any, size: int, message: Any) -> None:
     """Keep a message under the number k."""
-    kept[k % size] = message
+    rows[k % size] = message
 
 
-def get(kept: Any, k: Any, size: int) -> Any:
+def get(rows: Any, k: Any, size: int) -> Any:
     """The message of number k."""
-    return kept[k % size]
+    return rows[k % size]
 
 
 def at(numbers: Any, k: int) -> Any:

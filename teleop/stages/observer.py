@@ -49,7 +49,7 @@ class Observed(Record):
 
 
 class ObserverStage(Stage):
-    """What the law is told of the hand's force is the observer's. Recorded as `f_h_hat`."""
+    """Estimate of the hand's force, which the law reads. Recorded as `f_h_hat`."""
 
     name: ClassVar[str] = "observer"
     axis_kind: ClassVar[type[Record]] = Observed
@@ -57,7 +57,7 @@ class ObserverStage(Stage):
     device: tuple[tuple[float, float, float], ...]  # L, mass, damping
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         devices = tuple([(scene.observer, body.mass, body.damping) for body in scene.per_axis("master")])
         return tuple([coefficients(*device, dt) for device in devices]), devices
 
@@ -68,12 +68,12 @@ class ObserverStage(Stage):
         return tuple([cell for a, estimate in zip(e.axes, self.axes, strict=True)
                       for cell in ((estimate, "v_before"), (a, "f_read"))])
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
         if e.has.leaves_out:
-            self.c_tick = given[0]
-            self.device = given[1]
+            self.c_tick = numbers[0]
+            self.device = numbers[1]
         for a, estimate in zip(e.axes, self.axes, strict=True):
-            estimate.c_obs = given[0][a.i]
+            estimate.c_obs = numbers[0][a.i]
             estimate.v_before = a.v_read
             a.f_read = 0.0
 

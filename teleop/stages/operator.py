@@ -65,7 +65,7 @@ Spans = tuple[tuple[float, float], ...]
 
 
 class SwitchLimits(NamedTuple):
-    """What the stage computes with."""
+    """Coefficients of the stage."""
 
     steps: float  # ticks from 0 to 1
     within: tuple[float, ...]  # m or rad, of each axis: how far apart the ends may be when it closes; inf: any way
@@ -111,7 +111,7 @@ class Operator:
         return port if isinstance(port, tuple) else (port,) * axes
 
     def limits(self, dt: float, axes: int = 1) -> SwitchLimits:
-        """What the stage computes with, at a tick of `dt` s."""
+        """Coefficients of the stage, at a tick of `dt` s."""
         return SwitchLimits(float(max(1, round(self.ramp / dt))), self.within(axes), _in_ticks(self.clutch, dt),
                             _in_ticks(self.absent, dt))
 
@@ -123,20 +123,20 @@ def _spans(name: str, value: Any) -> Spans:
     if len(value) > MOST_SPANS:
         raise Refused(f"{name} has {number_of(len(value), 'span')}, and a schedule has {MOST_SPANS} at most; leave "
                       "some out")
-    found = []
+    spans_found = []
     for span in value:
         start = number(f"{name}: the beginning of a span", span[0], low=0.0, unit="s")
         end = number(f"{name}: the end of a span", span[1], low=0.0, unit="s")
         if end <= start:
             raise Refused(f"{name}: the span from {start:g} s ends at {end:g} s, which is not later; give each span "
                           "its beginning first")
-        found.append((start, end))
-    return tuple(found)
+        spans_found.append((start, end))
+    return tuple(spans_found)
 
 
 def _in_ticks(spans: Spans, dt: float) -> Spans:
-    found = [(float(round(start / dt)), float(round(end / dt))) for start, end in spans]
-    return (*found, *[(-1.0, -1.0)] * (-len(found) % PADDED or PADDED * (not found)))
+    spans_found = [(float(round(start / dt)), float(round(end / dt))) for start, end in spans]
+    return (*spans_found, *[(-1.0, -1.0)] * (-len(spans_found) % PADDED or PADDED * (not spans_found)))
 
 
 def scheduled(spans: Spans, k: float) -> float:
@@ -148,7 +148,7 @@ def scheduled(spans: Spans, k: float) -> float:
 
 
 def ramped(steps: float, n: float, released: float, passed: float) -> float:
-    """How many of the ramp's `steps` the modulus is at, `passed` ticks after it was at `n`; 0: it is open.
+    """Number of the ramp's `steps` at which the modulus is, `passed` ticks after it was at `n`; 0: it is open.
 
     A step of the way up is made at each tick that is run. An end begins (n < 0) where its switches are.
     """
@@ -177,7 +177,7 @@ def modulus(g: float, f: float, least: float) -> float:
 
 
 def carried(r: float, x: float, dx: float, offset: float, x_law: float) -> tuple[float, float]:
-    """Where the law is told to be, and by how much the device has moved beyond that (m), after a motion dx to x."""
+    """Position for the law, and the device's offset from it (m), after a motion dx to x."""
     if r < 1.0:
         x_law = x_law + r * dx
         return x_law, x - x_law
@@ -226,7 +226,7 @@ class OperatorStage(Stage):
         self.rx_position = structure
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return scene.operator.limits(dt, scene.axes)
 
     def columns(self, e: End) -> tuple[Column, ...]:
@@ -234,8 +234,8 @@ class OperatorStage(Stage):
                 Column(f"g_clutch_{e.name}", ((self, "g_clutch"),)), per_axis(f"offset_{e.name}", self.axes, "offset"),
                 *[per_axis(f"apart_{e.name}", self.axes, "apart")] * bool(self.rx_position))
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.c_switch = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.c_switch = numbers
         self.least_g = 1.0 / self.c_switch.steps
         self.n_clutch = -1.0
         self.g_clutch = self.g_was = 1.0

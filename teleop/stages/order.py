@@ -39,17 +39,17 @@ class Place(NamedTuple):
     def stage(self) -> type[Stage]:
         """The stage's class, imported now."""
         module, _, name = self.at.partition(":")
-        found: type[Stage] = getattr(import_module(f"teleop.stages.{module}"), name)
-        return found
+        module_class: type[Stage] = getattr(import_module(f"teleop.stages.{module}"), name)
+        return module_class
 
 
 def _plays(end: Asked, stage: str) -> bool:
-    """Is this the stage of the scene's playout, where its messages have waves."""
+    """True if this is the stage of the scene's playout, where its messages have waves."""
     return getattr(end.scene.wave_playout, "stage", None) == stage
 
 
 def _caps(end: Asked, limit: str) -> bool:
-    """Has the cap of an axis this limit."""
+    """True if the cap of an axis has this limit."""
     return any(getattr(each, limit, None) is not None for each in end.scene.per_axis("cap"))
 
 

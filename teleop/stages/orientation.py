@@ -143,7 +143,7 @@ class OrientationStage(Stage):
         return tuple([Column(f"q{part}{n}_{e.name}", ((t, part),)) for n, t in zip(numbers, self.rotations, strict=True)
                       for part in ("w", "x", "y", "z")])
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
         for t in self.rotations:
             t.w = t.x = t.y = t.z = 0.0
             t.phi_x = t.phi_y = t.phi_z = 0.0  # so the first turn is to where the end begins

@@ -46,7 +46,7 @@ class PassivityController:
         object.__setattr__(self, "v_min", number("v_min", self.v_min, low=0.0))
 
     def limits(self, dt: float) -> Limits:
-        """What `damp` computes with."""
+        """Coefficients of `damp`."""
         return Limits(dt, self.cap, self.v_min)
 
 
@@ -74,14 +74,14 @@ class PassivityControllerStage(Stage):
     c_pc: Limits
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return scene.passivity.limits(dt)
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (per_axis("E_po", self.axes, "E_po"),)
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.c_pc = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.c_pc = numbers
         for port in self.axes:
             port.E_po = 0.0
 

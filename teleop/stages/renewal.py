@@ -25,14 +25,14 @@ class RenewalStage(Stage):
     since_last: Any  # ticks since the last
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return scene.per_axis(f"device_{e}")[0].every
 
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
         return tuple([(hold, "f_renewed") for hold in self.axes])
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.every = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.every = numbers
         for hold in self.axes:
             hold.f_renewed = 0.0
 

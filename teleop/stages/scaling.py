@@ -62,7 +62,7 @@ class Scaling:
 
 
 def in_units_of_master(scale_x: float, scale_f: float, at: At) -> At:
-    """What the slave's end of the law is told, in the master's units."""
+    """`At` of the slave's end of the law, in the master's units."""
     return At(at.x / scale_x, at.v / scale_x, at.f / scale_f, at.f_held / scale_f, at.dx / scale_x, at.fresh, at.age,
               at.dt, at.span, at.gain)
 
@@ -81,12 +81,12 @@ class ScalingStage(Stage):
     axis_kind: ClassVar[type[Record]] = Scales
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return tuple([(each.scale_x, each.scale_f) for each in scene.per_axis("scaling")])
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
         for a, scales in zip(e.axes, self.axes, strict=True):
-            scales.scale_x, scales.scale_f = given[a.i]
+            scales.scale_x, scales.scale_f = numbers[a.i]
 
     def situate(self, run: Run, e: End) -> None:
         for a, scales in zip(e.axes, self.axes, strict=True):

@@ -47,12 +47,12 @@ class VelocityCapStage(Stage):
     c_speed: tuple[SpeedLimits, ...]  # for each axis
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return tuple([NO_LIMIT if each is None or each.v_max is None else each.speed()
                       for each in scene.per_axis("cap")])
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.c_speed = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.c_speed = numbers
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a in e.axes:

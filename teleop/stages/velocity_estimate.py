@@ -24,7 +24,7 @@ class VelocityStage(Stage):
     c_est: Any
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         estimator = [device.velocity for device in scene.per_axis(f"device_{e}")]
         return (tuple([each.coefficients(dt) for each in estimator]),
                 tuple([each.start(x) for each, x in zip(estimator, places, strict=True)]))
@@ -35,10 +35,10 @@ class VelocityStage(Stage):
     def memory(self, e: End) -> tuple[tuple[Record, str], ...]:
         return tuple([(estimator, "est") for estimator in self.axes])
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.c_est = given[0]
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.c_est = numbers[0]
         for a, estimator in zip(e.axes, self.axes, strict=True):
-            estimator.est = given[1][a.i]
+            estimator.est = numbers[1][a.i]
             a.v_read = 0.0
 
     def read(self, run: Run, e: End, k: int) -> None:

@@ -115,15 +115,15 @@ class WatchdogStage(Stage):
         self.aged, self.recorded = structure is True, structure is not None
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return scene.watchdog.limits(dt)
 
     def columns(self, e: End) -> tuple[Column, ...]:
         return (Column(f"g_{e.name}", ((self, "g"),)),) if self.recorded else ()
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
         if not e.has.live:
-            self.c_dog = given
+            self.c_dog = numbers
             self.heard = -1
             self.quiet_ticks = inf
             if e.has.leaves_out:

@@ -71,7 +71,7 @@ TINY = 5e-324  # in place of no energy: D^2/(2 S) is infinite then, and nothing 
 
 
 class Integrals(NamedTuple):
-    """What an end's waves have come to in one axis."""
+    """Integrals of an end's waves in one axis."""
 
     T: float  # the time since it began, s
     U: float  # the integral of the wave
@@ -113,7 +113,7 @@ class WaveIntegralStage(Stage):
     spared: float  # dt, or 0 where M is L
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         wave = scene.wave_playout
         remembered = (min(1.0, dt / wave.memory), dt) if wave.memory else (1.0, 0.0)
         ahead = (dt, dt / wave.ahead) if wave.ahead else (0.0, 0.0)
@@ -123,8 +123,8 @@ class WaveIntegralStage(Stage):
     def columns(self, e: End) -> tuple[Column, ...]:
         return (per_axis(f"queue_{e.name}", self.axes, "queue"),)
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.target, self.keeps, self.settles, self.recalls, self.spared, self.leads, self.returns = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.target, self.keeps, self.settles, self.recalls, self.spared, self.leads, self.returns = numbers
         for a, wave in zip(e.axes, self.axes, strict=True):
             wave.q = wave.p = wave.P = wave.G = wave.M = wave.queue = 0.0
             wave.C = 0.0 - self.target
@@ -137,7 +137,7 @@ class WaveIntegralStage(Stage):
             play(run, e, a, wave)
 
     def release(self, run: Run, e: End, a: Axis, wave: AxisWaves) -> None:
-        """What is released in this tick of what is owed: the wave p, and what is credited."""
+        """Release part of what is owed in this tick: the wave p, and the credit."""
         wave.M = wave.M + (wave.L - wave.M) * self.recalls
         if wave.L - self.spared < wave.M:  # noqa: PLR1730 - a call costs more
             wave.M = wave.L - self.spared
@@ -175,7 +175,7 @@ class WaveEnergyStage(WaveIntegralStage):
     name: ClassVar[str] = "wave_energy"
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # it has no times
 
     def receive(self, run: Run, e: End) -> None:
@@ -187,7 +187,7 @@ class WaveEnergyStage(WaveIntegralStage):
 
 
 def owed(run: Run, e: End, a: Axis, wave: AxisWaves) -> None:
-    """What is owed of the other end's waves at this tick, and what energy is left for it."""
+    """Book what is owed of the other end's waves at this tick, and the energy that is left for it."""
     if e.has.leaves_out:
         wave.held = elapsed(run, e) - run.dt
         wave.P = wave.P + wave.held * wave.p
@@ -207,7 +207,7 @@ def play(run: Run, e: End, a: Axis, wave: AxisWaves) -> None:
 
 
 def send_along(run: Run, e: End, a: Axis, wave: AxisWaves) -> None:
-    """What the waves that this end sends have come to, with that of this tick."""
+    """Integrals of the waves that this end sends, with that of this tick."""
     T, U, E = a.sent
     q = getattr(a.tx, e.tx_wave)
     if e.has.leaves_out:
@@ -224,11 +224,11 @@ class WaveScalingStage(Stage):
     gain: float
 
     @staticmethod
-    def given(scene: Any, e: str, dt: float, places: Places) -> Any:
+    def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
         return sqrt(1.0 - scene.wave_playout.rate)
 
-    def begin(self, run: Run, e: End, given: Any) -> None:
-        self.gain = given
+    def begin(self, run: Run, e: End, numbers: Any) -> None:
+        self.gain = numbers
 
     def receive(self, run: Run, e: End) -> None:
         for a in e.axes:

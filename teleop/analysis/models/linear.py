@@ -294,7 +294,8 @@ def _made(scene: Scene, e: str, entry: Callable[..., Any], places: list[float]) 
     bare = replace(scene, energy=False, watchdog=None, playout=gaps if isinstance(gaps, Scaled) else Zero())
     bodies = exact_bodies(bare)
     made = lines(structure_of(bare), entry, ends=(e,)).function({**functions(bare), **bodies.functions()})
-    return made, (numbers_of(bare, {e: places}), bare.law, bare.dt_ns / 1e9, places, [STILL] * bare.axes, bodies.held())
+    return made, (numbers_of(bare, {e: places}), bare.law, bare.dt_ns / 1e9, places, [STILL] * bare.axes,
+                  bodies.numbers())
 
 
 def start(run: Run, e: End, given: Any, law: Any, dt: float, places: Any, ref: Any, held: Any) -> list[float]:

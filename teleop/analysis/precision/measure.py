@@ -23,7 +23,7 @@ from teleop.errors import Refused
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.integrators.nonlinear import goes
-from teleop.simulation.integrators.parts import closed, slave_of
+from teleop.simulation.integrators.parts import has_closed_form, slave_of
 from teleop.simulation.integrators.stepped import method_bodies
 from teleop.simulation.metrics import tracking
 from teleop.simulation.virtual import run
@@ -94,7 +94,7 @@ class Precision:
 def contenders(scene: Scene) -> Iterator[Contender]:
     """All contenders, the cheaper first. Raises `Refused` without a slave, or without its environment's equation."""
     slave_of(scene)
-    exact = closed(scene)
+    exact = has_closed_form(scene)
     name, label = ("exact", "exact") if exact else ("default", f"default: SDIRK2 to {scene.tolerance:.0e} m a tick")
     yield Contender(method=name, label=label, bodies=exact_bodies(scene))
     for n in SUBSTEPS:
@@ -112,7 +112,7 @@ def contenders(scene: Scene) -> Iterator[Contender]:
 def unfit(scene: Scene) -> dict[str, str]:
     """Methods that are no contenders on this scene, and why."""
     found = {m.name: "no solver for its coupled stages where a body is not piecewise linear"
-             for m in METHODS if not closed(scene) and not goes(m)}
+             for m in METHODS if not has_closed_form(scene) and not goes(m)}
     if _rubs(scene):
         found["scipy's solvers"] = "friction jumps at rest, where their steps would become endlessly small"
     return found
@@ -134,11 +134,11 @@ def measure(
     _check(one_loop(scene), rounds)
     everyone = list(contenders(scene))
     show = show or _quiet
-    share = 0.1 if closed(scene) else 0.5  # of the progress, for the reference
+    share = 0.1 if has_closed_form(scene) else 0.5  # of the progress, for the reference
     began = clock()
     truth = truth_of(scene, seed, clock, patient=rounds is not None, show=lambda part, text: show(share * part, text))
     before, began = began, clock()
-    budget = BUDGET if closed(scene) else max(BUDGET, WITH_REFERENCE - (began - before) / 1e9)
+    budget = BUDGET if has_closed_form(scene) else max(BUDGET, WITH_REFERENCE - (began - before) / 1e9)
     reference = truth.result
     trace = reference.trace
     cost = run_costs(everyone, scene, trace, clock, truth.took)

@@ -49,7 +49,7 @@ class IntegrationMethod(NamedTuple):
 
 
 def wall_coefficients(method: IntegrationMethod, touch: Touch, h: float, n: int) -> tuple[Any, ...]:
-    """What `method.move` computes with, for n sub-steps of h; the first four are what `wall_force` needs."""
+    """Coefficients of `method.move` for n sub-steps of h; `wall_force` needs the first four."""
     _, _, k, d, side, at, edge, floor = touch
     return side, at, k, d, edge, floor, n, *method.coefficients(touch, h)
 
@@ -243,10 +243,10 @@ def _radau(c: Any, x: float, v: float, f: float) -> tuple[float, float, int]:
             p1p, p1u, p1f, u1p, u1u, u1f, p2p, p2u, p2f, u2p, u2u, u2f = maps[which]
             q, w = p1p * p + p1u * u + p1f * f, u1p * p + u1u * u + u1f * f
             r, z = p2p * p + p2u * u + p2f * f, u2p * p + u2u * u + u2f * f
-            found = (q > edge and k * q + d * w > floor) + 2 * (r > edge and k * r + d * z > floor)
-            if found == which:
+            mode = (q > edge and k * q + d * w > floor) + 2 * (r > edge and k * r + d * z > floor)
+            if mode == which:
                 break
-            which = found
+            which = mode
         p, u = r, z
     return at + side * p, side * u, 0
 

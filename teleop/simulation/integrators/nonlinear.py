@@ -45,7 +45,7 @@ def held_stepped(core: Core, advance: Advance, dt: float, n: int) -> Callable[..
 
 
 def acceleration(c: Core, p: float, u: float, f: float, s: float) -> float:
-    """What the explicit methods evaluate."""
+    """Acceleration that the explicit methods evaluate."""
     push = f - c[2] * u - resistance_force(c, p, u)
     fc = c[7]
     if fc > 0.0:

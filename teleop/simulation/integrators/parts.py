@@ -26,14 +26,14 @@ def slave_of(scene: Scene) -> MassDamper:
     return body
 
 
-def closed(scene: Scene) -> bool:
+def has_closed_form(scene: Scene) -> bool:
     """True if every body has a closed form, so that the run is exact."""
     return scene.master.friction == 0.0 and not any(core_of(still) for still, _ in stills(scene))
 
 
 def stills(scene: Scene) -> list[tuple[Plant, Any]]:
     """For each axis the slave's plant in its environment, and that environment, as if it rested."""
-    return [_still(*own) for own in _own(scene)]
+    return [_still(*alone) for alone in _own(scene)]
 
 
 def whole_plants(scene: Scene) -> list[Plant]:
@@ -46,7 +46,7 @@ def rebuilt(scene: Scene, make: Callable[[Plant, Any], Plant]) -> list[Plant]:
 
     What `make` gives has an inner state if and only if its plant had one.
     """
-    plants = [_carried_as(own[0], make(*_still(*own))) if is_carried(own[0]) else make(*own) for own in _own(scene)]
+    plants = [_carried_as(alone[0], make(*_still(*alone))) if is_carried(alone[0]) else make(*alone) for alone in _own(scene)]
     if any(plant.start is not None for plant in plants):
         return [plant if plant.start is not None else with_inner(plant) for plant in plants]
     return plants

@@ -54,7 +54,7 @@ def rates(branch: Branch) -> Matrix:
 
 
 def sub_step(method: IntegrationMethod, branch: Branch, step: float) -> Matrix:
-    """One sub-step of (x, v, z, f)."""
+    """Make one sub-step of (x, v, z, f)."""
     import numpy as np
 
     a, one = step * rates(branch), np.eye(4)
@@ -85,19 +85,19 @@ def stepped(method: IntegrationMethod, branch: Branch, dt: float, n: int) -> Ste
 
 
 def solved(branch: Branch, dt: float, solver: str, rtol: float) -> Steps:
-    """One call of scipy's `solver` over dt; NaN where it gives up."""
+    """Call scipy's `solver` once over dt; NaN where it gives up."""
     from scipy.integrate import solve_ivp
 
     a = rates(branch)[:3]
     system = a[:, :3]
-    more: Any = {"jac": system} if solver == "Radau" else {}
+    options: Any = {"jac": system} if solver == "Radau" else {}
 
     def steps(x: float, v: float, z: float, f: float) -> tuple[float, float, float]:
         if not isfinite(abs(x) + abs(v) + abs(z) + abs(f)):
             return nan, nan, nan
         push = a[:, 3] * f
         done = solve_ivp(lambda _, y: system @ y + push, (0.0, dt), (x, v, z), solver, rtol=rtol,
-                         atol=1e-3 * rtol, **more)
+                         atol=1e-3 * rtol, **options)
         x, v, z = map(float, done.y[:, -1])
         return (x, v, z) if done.success else (nan, nan, nan)
 
@@ -115,7 +115,7 @@ def bonded(steps: Steps) -> Callable[..., tuple[float, float, int, tuple[float]]
     return move
 
 
-def held(steps: Steps, dt: float, b: float) -> Callable[..., tuple[float, float, tuple[float]]]:
+def step_held(steps: Steps, dt: float, b: float) -> Callable[..., tuple[float, float, tuple[float]]]:
     """`move_held` of a master damped electrically, by `steps`; b is the damping of the master alone."""
 
     def move(_: Any, x: float, v: float, f_m: float, r0: float, r1: float, z: tuple[float]

@@ -111,8 +111,8 @@ def _moved_by(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
         return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move},
                               inner_m=((),) * scene.axes, report_m=None)
     if scene.electrical is not None:
-        own = relaxed.held(relaxed.stepped(method, master_branch(scene), dt, n), dt, scene.master.damping)
-        return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": own})
+        move = relaxed.step_held(relaxed.stepped(method, master_branch(scene), dt, n), dt, scene.master.damping)
+        return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move})
     if scene.hand is None:
         body = Touch(scene.master.mass, scene.master.damping)
         master = stepped(method, body, dt, n)
@@ -151,13 +151,13 @@ def bodies_of(scene: Scene, text: str) -> Bodies:
 
 def _method(name: str, text: str) -> IntegrationMethod:
     wanted = name.replace("-", "_")
-    found = [m for m in METHODS if m.name == wanted] or [m for m in METHODS if wanted and m.name.startswith(wanted)]
-    if len(found) == 1:
-        return found[0]
+    methods = [m for m in METHODS if m.name == wanted] or [m for m in METHODS if wanted and m.name.startswith(wanted)]
+    if len(methods) == 1:
+        return methods[0]
     raise Refused(f"bodies={text} names no integrator; write {FORM}; {nearest(wanted, [m.name for m in METHODS])}")
 
 
-def told(bodies: Bodies) -> list[str]:
+def method_note(bodies: Bodies) -> list[str]:
     """The note on a run whose bodies did not move by the scene's own steps."""
     if not bodies.method:
         return []

@@ -1,1 +1,1 @@
-"""One file is one velocity estimator of a haptic device: what it computes, its source and its error."""
+"""Velocity estimators of a haptic device, one file each: equations, source and error."""

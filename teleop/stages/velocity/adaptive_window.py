@@ -81,7 +81,7 @@ class EndFit:
         return _coefficients(self, dt)
 
     def start(self, x: float) -> State:
-        """One reading at `x` (m)."""
+        """Take one reading at `x` (m)."""
         return (x, *_missing(self.most - 1))
 
     @staticmethod
@@ -125,7 +125,7 @@ class BestFit:
         return _coefficients(self, dt)
 
     def start(self, x: float) -> State:
-        """One reading at `x` (m)."""
+        """Take one reading at `x` (m)."""
         return (x, *_missing(self.most - 1))
 
     @staticmethod

@@ -230,7 +230,7 @@ class Figures(Recorder):
         for own in self.places:
             self.swing_4 = most(self.swing_4, least(own.rise, own.fall))
 
-    def told(self, run: Run, ticks: int, complete: bool) -> Any:
+    def outcome(self, run: Run, ticks: int, complete: bool) -> Any:
         """The ticks that ran, below zero if the run left its bounds in the last of them, and the figures."""
         self.finish(run)
         return ticks if complete else -ticks, self.all(run)
@@ -290,7 +290,7 @@ class LaneFigures(Figures):
                     a.x = a.x if self.alive else nan  # a scene that is lost moves no more, and costs no more
         return not any_lane(self.alive)
 
-    def told(self, run: Run, ticks: int, complete: bool) -> Any:
+    def outcome(self, run: Run, ticks: int, complete: bool) -> Any:
         self.finish(run)
         if complete:
             store(self.out, self.alive, ticks, self.all(run))

@@ -181,7 +181,7 @@ def tree_of(scene: Scene, bodies: Bodies, *, compiled: bool = True) -> tuple[Any
     if compiled:
         law = tuple(map(_numbers_of_law, law)) if isinstance(law, tuple) else _numbers_of_law(law)
     return (numbers_of(scene, starts), law, scene.dt_ns / 1e9, scene.x_limit, starts["m"], starts["s"],
-            bodies.held())
+            bodies.numbers())
 
 
 def _numbers_of_law(law: Any) -> Any:

@@ -17,7 +17,7 @@ from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.ending import typed
+from teleop.simulation.ending import scene_arguments
 from teleop.simulation.notes import unplayed
 from teleop.simulation.plan import Packets
 from teleop.simulation.rest import swings, trend
@@ -36,7 +36,7 @@ class TestMotionThatGrows:
         assert not is_stable(scene)
         assert got.status == "ok"
         note, = warned(got, "grows")
-        assert note.endswith("teleop stability " + typed(scene))
+        assert note.endswith("teleop stability " + scene_arguments(scene))
 
     @pytest.mark.parametrize("knobs", [
         {"delay": 0.0}, {"delay": 0.01}, {"delay": 0.005, "k_e": 400.0}, {"law": "wave", "delay": 0.1, "k_e": 5e3}])
@@ -161,7 +161,7 @@ def test_a_scene_as_it_is_typed_is_the_scene_again(name: str, knobs: dict[str, A
     from shlex import split
 
     scene = load_scene(name, **knobs)
-    said = typed(scene)
+    said = scene_arguments(scene)
     assert set(split(text)) <= set(split(said))
     first, *rest = split(said)
     again = load_scene(first, **{"link" if flag == "--link" else each.split("=", 1)[0]:
@@ -173,7 +173,7 @@ def test_a_scene_as_it_is_typed_is_the_scene_again(name: str, knobs: dict[str, A
 def test_a_scene_of_ones_own_is_typed_as_its_file(tmp_path: Path) -> None:
     made = tmp_path / "mine.py"
     made.write_text("from scenarios.hard_wall import scene\n")
-    assert typed(load_scene(str(made), law=Direct())) == "mine.py, with its path and the --set of the run"
+    assert scene_arguments(load_scene(str(made), law=Direct())) == "mine.py, with its path and the --set of the run"
 
 
 def test_a_wall_that_is_pressed_through_jitter_is_no_limit_cycle() -> None:

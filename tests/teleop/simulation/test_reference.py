@@ -51,8 +51,9 @@ def arguments(scene: Scene, rows: dict[str, list[float]]) -> tuple[Any, ...]:
     ready = prepare(scene)
     fwd, bwd = link_plans(scene, 3)
     size = 1 + max((plan.lag for plan in (fwd, bwd) if plan is not None), default=0)
-    return (ready.given, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, ready.starts["m"], ready.starts["s"],
-            bwd and bwd.play, fwd and fwd.play, size, ready.reference, ready.bodies.held(),
+    return (ready.numbers, scene.law, scene.dt_ns / 1e9, scene.ticks, scene.x_limit, ready.starts["m"],
+            ready.starts["s"],
+            bwd and bwd.play, fwd and fwd.play, size, ready.reference, ready.bodies.numbers(),
             (rows["m"].extend, rows["s"].extend))
 
 

@@ -39,7 +39,7 @@ class Alone:
         self.axis, = self.e.axes
         self.axis.rx = Message(0.0)
         self.stage = getattr(module, STAGES[str(getattr(playout, "stage", None))])("s", 1)
-        given = self.stage.given(SimpleNamespace(wave_playout=playout), "s", dt, [0.0])
+        given = self.stage.numbers(SimpleNamespace(wave_playout=playout), "s", dt, [0.0])
         self.stage.begin(self.run, self.e, given)
         self.own, = self.stage.axes
 

@@ -192,7 +192,7 @@ def test_over_a_delay_that_varies_the_scaled_playout_is_passive_and_the_unscaled
         scaled.has = RunHas()
         e.rx_wave, e.rx_fields, e.Message, e.got = "u", ("u",), Message, True
         e.axes[0].rx = Message(wave(t - delay))
-        stage.begin(scaled, e, stage.given(SimpleNamespace(wave_playout=Scaled(rate)), "s", dt, []))
+        stage.begin(scaled, e, stage.numbers(SimpleNamespace(wave_playout=Scaled(rate)), "s", dt, []))
         stage.receive(scaled, e)
         return np.cumsum(0.5 * dt * (wave(t)**2 - e.axes[0].rx.u**2))
 

@@ -21,7 +21,7 @@ from teleop.analysis.precision.reference.deviation import errors
 from teleop.analysis.precision.reference.digits import DIGITS
 from teleop.analysis.precision.reference.steps import Steps
 from teleop.errors import Refused
-from teleop.simulation.integrators.parts import closed, core_of, stills
+from teleop.simulation.integrators.parts import core_of, has_closed_form, stills
 from teleop.simulation.virtual import run
 from teleop.terminal.units import si
 
@@ -59,7 +59,7 @@ def truth_of(scene: Scene, seed: int, clock: Callable[[], int], *, patient: bool
     Raises `Refused` where the reference would take too long, unless `patient`, where a body has no closed form and
     scipy is not installed, and where no equation is known of an environment.
     """
-    exact = closed(scene)
+    exact = has_closed_form(scene)
     if not exact and not there():
         raise Refused(f"scene {scene.name} has no closed form, and its reference is made by scipy, which is not "
                       "installed; type: pip install scipy")

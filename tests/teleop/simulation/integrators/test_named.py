@@ -14,7 +14,7 @@ SHORT = load_scene("hard_wall", duration=1.0)
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 def test_every_method_goes_by_the_name_that_precision_prints(method: IntegrationMethod) -> None:
-    assert bodies_of(SHORT, f"{method.name}:3").held() == method_bodies(SHORT, method, 3).held()
+    assert bodies_of(SHORT, f"{method.name}:3").numbers() == method_bodies(SHORT, method, 3).numbers()
 
 
 @pytest.mark.parametrize("text", ["semi-implicit:2", "semi_implicit:2", "semi-implicit-euler:2", "semi:2"])

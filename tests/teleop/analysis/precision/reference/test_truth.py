@@ -32,7 +32,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators.methods import METHODS
-from teleop.simulation.integrators.parts import closed
+from teleop.simulation.integrators.parts import has_closed_form
 from teleop.simulation.virtual import run
 from tests.teleop.analysis.precision.test_measure import entry, quick, same, strike  # noqa: F401 - a fixture
 from tests.teleop.simulation.integrators.test_nonlinear import HC, RUBBING, SCENES
@@ -210,7 +210,7 @@ class TestTheDefault:
         scene = along(scene, scene.axis_names[0] if own_parts(scene) else None)
         own = run(scene)
         bound = bound_of(scene, own)
-        assert (bound is None) == closed(scene)
+        assert (bound is None) == has_closed_form(scene)
         if bound is None:
             return
         want = run(scene, bodies=reference_bodies(scene, "DOP853")).trace
