@@ -39,7 +39,7 @@ class EndStructure(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """Structure of a scene. Scenes of one structure differ in numbers, and in the functions of their laws and bodies."""
+    """Structure of a scene. Those of one structure differ in numbers, and in functions of laws and bodies."""
 
     axes: int
     has: RunHas

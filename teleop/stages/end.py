@@ -30,7 +30,8 @@ def declared(kind: type[Record]) -> dict[str, str]:
     """The fields that a class of records declares and has no value for, with their types as they are written."""
     if kind not in _DECLARED:
         written = [vars(each).get("__annotations__", {}) for each in kind.__mro__]
-        _DECLARED[kind] = {name: type_ for fields in written for name, type_ in fields.items() if not hasattr(kind, name)}
+        _DECLARED[kind] = {name: type_ for each in written for name, type_ in each.items()
+                           if not hasattr(kind, name)}
     return _DECLARED[kind]
 
 
