@@ -128,7 +128,7 @@ _HOMES = {  # the module of each name, under this package
     "scene.playout": ("Energy", "Fixed", "Hold", "Integral", "Playout", "Scaled", "Zero"),
     "scene.scene": ("Scene",),
     "live.records.merge": ("load_result",),
-    "simulation.facts": ("facts_of", "fitted"),
+    "simulation.notes": ("facts_of", "fitted"),
     "simulation.result": ("Result",),
     "simulation.virtual": ("run",),
     "stages.deadband": ("Deadband",),

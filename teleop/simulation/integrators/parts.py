@@ -46,14 +46,15 @@ def rebuilt(scene: Scene, make: Callable[[Plant, Any], Plant]) -> list[Plant]:
 
     What `make` gives has an inner state if and only if its plant had one.
     """
-    plants = [_carried_as(pair[0], make(*_still(*pair))) if is_carried(pair[0]) else make(*pair) for pair in _own(scene)]
+    plants = [_carried_as(pair[0], make(*_still(*pair))) if is_carried(pair[0]) else make(*pair)
+              for pair in _own(scene)]
     if any(plant.start is not None for plant in plants):
         return [plant if plant.start is not None else with_inner(plant) for plant in plants]
     return plants
 
 
 def _own(scene: Scene) -> list[tuple[Plant, Any]]:
-    """Each axis' plant and environment, as they are when the axis is pair: the axes of a scene share their calls."""
+    """Each axis' plant and environment, as they are when the axis is alone: the axes of a scene share their calls."""
     if scene.slave is None:
         return []
     if scene.axes == 1:

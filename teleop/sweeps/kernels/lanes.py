@@ -1,10 +1,10 @@
 """Lanes: eight floats of eight scenes, side by side, as one number of compiled code.
 
-`LanesType` and `MaskType` are types of numba's, lowered to vectors of LLVM; what the same lines are in plain Python,
-`Lanes` and `Mask`, is in `teleop.stages.lanes`. Everything a law may write of floats means on lanes what plain Python
-means in each of them, to the last bit: `min` and `max` keep their first argument where a comparison fails, as
-Python's do, NaN and the sign of a zero included; nothing is contracted or reordered. A comparison gives a
-mask. A mask is no truth, so an `if` on one is refused by the compiler: what branches has no lanes.
+`LanesType` and `MaskType` are types of numba's, lowered to vectors of LLVM. Everything a law may write of floats means
+on lanes what plain Python means in each of them, to the last bit: `min` and `max` keep their first argument where a
+comparison fails, as Python's do, NaN and the sign of a zero included; nothing is contracted or reordered. A comparison
+gives a mask. A mask is no truth, so the compiler refuses an `if` on one: `teleop.simulation.specialise` writes branches
+as masks.
 
 A law's function is compiled over lanes as it stands. Floats, whole numbers and truths that meet lanes are put into
 every lane, a mask that is reckoned with is 1.0 and 0.0.
