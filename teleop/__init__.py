@@ -89,7 +89,7 @@ __all__ = [
 _HOMES = {  # the module of each name, under this package
     "checks.law": ("check_law",),
     "errors": ("DeviceError", "Refused", "number", "whole_number"),
-    "export.growing": ("GrowingRun",),
+    "export.stream": ("GrowingRun",),
     "knob": ("Knob", "check_knobs"),
     "law": ("At", "Law", "OnePortLaw", "find_law", "messages"),
     "law.analysis_offers": ("Coupling",),

@@ -19,8 +19,8 @@ from teleop.simulation.integrators import relaxed
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch, wall_coefficients
 from teleop.simulation.integrators.nonlinear import ADVANCE, goes, held_stepped, move_stepped, stepped_force
 from teleop.simulation.integrators.parts import (
-    closed,
     core_of,
+    has_closed_form,
     master_branch,
     rebuilt,
     relaxing_branch,
@@ -95,7 +95,7 @@ def method_bodies(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
 def _moved_by(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
     dt = scene.dt_ns / 1e9
     exact = exact_bodies(scene)
-    if not (goes(method) or closed(scene)):
+    if not (goes(method) or has_closed_form(scene)):
         raise Refused(f"{method.label} is not known on bodies that are not piecewise linear; take for example sdirk2")
 
     def moved(still: Plant, environment: Any) -> Plant:

@@ -22,7 +22,7 @@ from teleop.laws.wave import Wave
 from teleop.protocol.manifest import manifest_difference, manifest_of
 from teleop.scene.library import ROOT
 from teleop.scene.trust import asks_for_trust
-from teleop.simulation.ending import typed as as_typed
+from teleop.simulation.ending import scene_arguments as as_typed
 from teleop.simulation.prepared import prepare
 from teleop.simulation.result import parameters
 from teleop.sweeps.kernels.compiled import module_text

@@ -28,7 +28,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.integrators import relaxed
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch
 from teleop.simulation.integrators.nonlinear import ADVANCE, acceleration, goes, kicked
-from teleop.simulation.integrators.parts import closed
+from teleop.simulation.integrators.parts import has_closed_form
 from teleop.simulation.integrators.relaxed import Branch
 from teleop.simulation.integrators.stepped import method_bodies, stepped, sub_step
 from teleop.simulation.virtual import run
@@ -182,7 +182,7 @@ def off(one: Any, other: Any) -> float:
 @pytest.mark.parametrize("name", SCENES)
 def test_the_methods_move_the_bodies_that_the_stack_moves(name: str) -> None:
     own = run(scene(name))
-    methods = METHODS if closed(scene(name)) else KNOWN
+    methods = METHODS if has_closed_form(scene(name)) else KNOWN
     for method in methods if name in ("the same, moving", "electrical damping") else (methods[0], methods[-1]):
         got = [run(scene(name), bodies=method_bodies(scene(name), method, n)) for n in (1, 64)]
         errors = [off(each, own) for each in got]
