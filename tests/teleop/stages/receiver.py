@@ -38,7 +38,7 @@ class Alone:
         self.e.rx_wave, self.e.rx_fields, self.e.tx_wave, self.e.Message = "u", ("u",), "u", Message
         self.axis, = self.e.axes
         self.axis.rx = Message(0.0)
-        self.stage = getattr(module, STAGES[str(getattr(playout, "stage", None))])("s", 1)
+        self.stage = getattr(module, STAGES[str(getattr(playout, "stage", None))])(self.e, None)
         given = self.stage.numbers(SimpleNamespace(wave_playout=playout), "s", dt, [0.0])
         self.stage.begin(self.run, self.e, given)
         self.own, = self.stage.axes

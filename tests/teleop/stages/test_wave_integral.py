@@ -188,7 +188,8 @@ def test_over_a_delay_that_varies_the_scaled_playout_is_passive_and_the_unscaled
 
     def left(rate: float) -> Any:
         """The energy sent less that played, J, at every step."""
-        stage, scaled, e = WaveScalingStage("s", 1), Run(), End("s", 1, EndHas())
+        scaled, e = Run(), End("s", 1, EndHas())
+        stage = WaveScalingStage(e, None)
         scaled.has = RunHas()
         e.rx_wave, e.rx_fields, e.Message, e.got = "u", ("u",), Message, True
         e.axes[0].rx = Message(wave(t - delay))
@@ -445,16 +446,16 @@ def test_a_time_that_goes_back_heals_when_it_comes_up_to_what_was_played() -> No
 
 # -- mutants of the rule
 
-HELD = "own.held = elapsed(run, e) - run.dt\n        "
+HELD = "wave.held = elapsed(run, e) - run.dt\n        "
 MUTANTS: dict[str, tuple[str, tuple[tuple[str, str], ...]]] = {  # with the property that sees it
     "energy 10 % over": ("a tick plays no more energy than is left", (
-        ("own.S = a.heard.E - own.G if", "own.S = 1.1 * (a.heard.E - own.G) if"),)),
+        ("wave.S = a.heard.E - wave.G if", "wave.S = 1.1 * (a.heard.E - wave.G) if"),)),
     "the whole queue at once": ("a steady wave is played no higher than it was sent", (
-        ("if own.L - self.settles * own.spare > own.h", "if False"), ("if own.h < own.H and", "if False and"))),
+        ("if wave.L - self.settles * wave.spare > wave.h", "if False"), ("if wave.h < wave.H and", "if False and"))),
     "span ignored by the receiver": ("what is booked is what was held", (
-        (f"{HELD}own.P", "own.held = 0.0\n        own.P"),)),
+        (f"{HELD}wave.P", "wave.held = 0.0\n        wave.P"),)),
     "span ignored by the sender": ("what is booked is what was held", (
-        (f"{HELD}T, U", "own.held = 0.0\n        T, U"),)),
+        (f"{HELD}T, U", "wave.held = 0.0\n        T, U"),)),
     "what is held counts as played at ticks with news too": (
         "a delay that rises within a gap leaves nothing unplayed", (
             ("elif not e.got and", "elif"),)),
