@@ -55,8 +55,8 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
     since = f"{sentence}; nothing has moved the scene since t = {still.since * scene.dt_ns / 1e9:g} s, and"
     if still.undecided(swung, trip):
         enough = (still.since + WINDOWS * still.least(trip)) * scene.dt_ns / 1e9
-        sentence = (f"{since} {still.swing_left(swung, trip):.3g} {unit} of swing are left, but that was too short a time "
-                    f"for a verdict; type --set duration={enough:g}")
+        sentence = (f"{since} {still.swing_left(swung, trip):.3g} {unit} of swing are left, but that was too short "
+                    f"a time for a verdict; type --set duration={enough:g}")
         return Ending(status, sentence, at_rest, tuple(growth(prepared, trace)))
     if status != "ok":
         does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} {unit} before)"
