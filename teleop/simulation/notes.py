@@ -194,8 +194,8 @@ def facts(scene: Scene, axis: int, fwd: Delay | None, bwd: Delay | None, lossy: 
     The slave's body is as the law meets it, in the master's metres and newtons: of m_s a_s = f_s with x_s = scale_x x
     and f_s = scale_f f a mass m_s scale_x/scale_f (`teleop.stages.scaling`).
     """
-    master, slave, playout = [scene.per_axis(name)[axis] for name in ("master", "slave", "scaling")]
-    felt = 1.0 if playout is None else playout.scale_x / playout.scale_f
+    master, slave, scaling = [scene.per_axis(name)[axis] for name in ("master", "slave", "scaling")]
+    felt = 1.0 if scaling is None else scaling.scale_x / scaling.scale_f
     return Facts(scene.dt_ns / 1e9, scene.axes, master.mass, master.damping, felt * slave.mass, felt * slave.damping,
                  fwd, bwd, lossy, _word(scene.played_as), held)
 
@@ -211,8 +211,8 @@ def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool, h
     alike = not any(isinstance(getattr(scene, name), tuple) for name in ("law", "master", "slave", "scaling"))
     for i, name in enumerate(scene.axis_names[:1] if alike else scene.axis_names):
         for sentence in broken(scene.laws[i], facts(scene, i, fwd, bwd, lossy, held)):
-            playout = told_along(sentence, scene.axis_units[i])
-            clauses.setdefault(_NUMBER.sub("", playout), []).append((name, playout))
+            condition = told_along(sentence, scene.axis_units[i])
+            clauses.setdefault(_NUMBER.sub("", condition), []).append((name, condition))
     return [each[0][1] if alike else _of_axes(each, scene.axes) for each in clauses.values()]
 
 

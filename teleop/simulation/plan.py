@@ -156,12 +156,12 @@ class LinkPlans(NamedTuple):
 
 
 def link_plans(scene: Scene, seed: int, ticks: int | None = None,
-               sent: Sequence[NDArray[np.bool_]] | None = None) -> LinkPlans:
+               sent_by_end: Sequence[NDArray[np.bool_]] | None = None) -> LinkPlans:
     """The plan of each direction of a scene's link: the packet played at every tick.
 
     `ticks`: of a run that ended early, how many it had; what was sent and received until then. Raises `Refused` where
-    the link does. `told`: of a run in which content decides what is sent, the ticks at which each end, master and
-    slave, sent its message; without it the plans are those of all that the ends could send, and have `due`.
+    the link does. `sent_by_end`: of a run in which content decides what is sent, the ticks at which each end, master
+    and slave, sent its message; without it the plans are those of all that the ends could send, and have `due`.
     """
     count = scene.ticks if ticks is None else ticks
     parts = scene.leaves_out("m"), scene.leaves_out("s")
@@ -176,12 +176,12 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None,
         sent = None if sender is None else ~sender
         packet, time_ns = _arrivals(scene, direction, count, seed, sent)
         playout = Zero() if scene.link is None else scene.played_as
-        if sent is not None:
-            sent = sent[direction] if sent is None else sent & sent[direction]
+        if sent_by_end is not None:
+            sent = sent_by_end[direction] if sent is None else sent & sent_by_end[direction]
             were = sent[packet]
             packet, time_ns = packet[were], time_ns[were]
         plans.append(plan(playout, packet, time_ns, count, scene.dt_ns, sent, receiver,
-                          by_content=scene.deadband is not None and sent is None))
+                          by_content=scene.deadband is not None and sent_by_end is None))
     return LinkPlans(*plans)
 
 
@@ -276,10 +276,10 @@ class Packets:
         return cls(sent=ticks, received=max(0, ticks - 1), in_flight=min(1, ticks))
 
 
-def packet_counts(scene: Scene, seed: int, ran: int, sent: Sequence[Any] | None = None) -> dict[str, Packets]:
-    """The packets of each direction until tick `ran`, as the schedule has them; `told`: see `link_plans`."""
-    counts = counts_of(link_plans(scene, seed, ran, sent), ran)
-    if sent is None:
+def packet_counts(scene: Scene, seed: int, ran: int, sent_by_end: Sequence[Any] | None = None) -> dict[str, Packets]:
+    """The packets of each direction until tick `ran`, as the schedule has them; `sent_by_end`: see `link_plans`."""
+    counts = counts_of(link_plans(scene, seed, ran, sent_by_end), ran)
+    if sent_by_end is None:
         return counts
     could = counts_of(link_plans(scene, seed, ran), ran)
     return {way: replace(each, saved=could[way].sent - each.sent) for way, each in counts.items()}

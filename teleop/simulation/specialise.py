@@ -14,6 +14,8 @@ stays as it is, in the order that it has: arithmetic is neither worked out nor r
 refused with a sentence, `NotSpecialised`: a record that escapes (into a list, or to a function without source), `break`
 in a loop that is unrolled, a `return` that depends on a number, a name that a class does not have.
 
+EVALUATOR.md beside this file shows a stage before and after.
+
 Lines keep their numbers in the file of the entry function. A line from another file has the number of the call there,
 since the code of a function names one file.
 """

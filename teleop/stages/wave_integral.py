@@ -236,5 +236,5 @@ class WaveScalingStage(Stage):
 
 
 def with_wave(e: End, a: Axis, wave: Any) -> Any:
-    """The received message with this wave in place of its wave."""
+    """The received message with this wave in place of its own."""
     return e.Message(*[wave if field == e.rx_wave else getattr(a.rx, field) for field in e.rx_fields])

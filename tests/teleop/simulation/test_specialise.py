@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 import traceback
 from collections.abc import Callable
 from functools import reduce
+from importlib import import_module
 from operator import add
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +17,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from teleop.simulation.specialise import NotSpecialised, specialise
-from teleop.stages.end import Record
+from teleop.stages.end import End as StageEnd
+from teleop.stages.end import EndHas, Record, Run
 
 
 class Has(NamedTuple):
@@ -293,3 +296,30 @@ class TestLines:
         sets = [each for each in ast.walk(made.made.tree) if isinstance(each, ast.Assign)]
         capped = [each for each in sets if "cap(" in ast.unparse(each)]
         assert {source[each.lineno - 1].strip() for each in capped} >= {"stage.act(run, e, k)"}
+
+
+PAGE = """from typing import Any
+from teleop.stages.end import End, Run, Stage
+from teleop.stages.memory import get, put
+
+
+def act(run: Run, e: End, k: int) -> None:
+    for stage in e.stages:
+        stage.act(run, e, k)
+
+
+"""
+
+
+def test_the_page_of_the_evaluator_shows_what_it_makes_of_a_stage(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(specialise.__code__.co_filename).parent / "EVALUATOR.md").read_text()
+    blocks = dict(re.findall(r"```python (\w+)\n(.*?)```", page, re.DOTALL))
+    (tmp_path / "stage_of_the_page.py").write_text(PAGE + blocks["stage"])
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = import_module("stage_of_the_page")
+    e = StageEnd("m", 1, EndHas(touch=True))
+    e.stages = (module.BrakeStage(e, None),)
+    for engine in ("plain", "scalar", "vector"):
+        made = specialise(module.act, Run(), e, engine=engine)
+        assert ast.unparse(made.tree).strip() == blocks[engine].strip(), engine
