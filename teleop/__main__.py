@@ -32,7 +32,7 @@ HOME = {
     "reproduce": "teleop.studies.reproduce.command:command",
     "list": "teleop.terminal.listing:command",
     "manifest": "teleop.export.manifest:command",
-    "show": "teleop.terminal.show:command",
+    "show": "teleop.terminal.run:show_command",
     "check": "teleop.live.devices.command:command",
     "doctor": "teleop.doctor.command:command",
     "completion": "teleop.completion.command:command",
@@ -70,9 +70,9 @@ def _obey(typed: Sequence[str]) -> int:
     known = parser()
     args = known.parse_args(typed)
     if args.do is None:
-        from teleop.terminal import colour
+        from teleop.terminal import screen
 
-        print(colour.answer(FIRST, sys.stdout), end="")
+        print(screen.answer(FIRST, sys.stdout), end="")
         return DONE
     from teleop.terminal.answer import say
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from teleop.errors import enumerated
 from teleop.protocol.guard import UNNAMED
-from teleop.terminal.units import si
+from teleop.terminal.table import si
 
 LATE_US = 500.0  # half a tick: of 99 ticks in 100 what is later leaves too little of it for the law
 LEFT_OUT = 0.01  # share of the ticks, from which on a run has a note on them

@@ -16,8 +16,7 @@ from teleop.simulation.result import head
 from teleop.storage.files import creating
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, complain
-from teleop.terminal.table import facts
-from teleop.terminal.units import grouped
+from teleop.terminal.table import facts, grouped
 
 EXAMPLE = "teleop export runs/hard_wall-1 --mcap hard_wall.mcap"
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from teleop.terminal.printable import printable
+from teleop.terminal.table import printable
 
 LONGEST = 2000  # characters of one text
 SHORT = 16  # characters of a cell that is not broken

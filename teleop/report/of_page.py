@@ -20,8 +20,7 @@ from teleop.storage.strict_json import Misshapen, parse
 from teleop.terminal.answer import Answer
 from teleop.terminal.run import PLOT
 from teleop.terminal.run_table import heading
-from teleop.terminal.table import columns, facts
-from teleop.terminal.units import si
+from teleop.terminal.table import columns, facts, si
 
 INDEX = "page.json"
 SHOWN = 6  # parts that the figures have

@@ -14,7 +14,7 @@ from teleop.scene.library import known_scenes
 from teleop.simulation.metrics import METRICS
 from teleop.terminal.run_table import heading as headed
 from teleop.terminal.run_table import rows, what
-from teleop.terminal.units import si
+from teleop.terminal.table import si
 
 if TYPE_CHECKING:
     from teleop.simulation.result import Result

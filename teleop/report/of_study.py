@@ -20,8 +20,7 @@ from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
 from teleop.storage.strict_json import Misshapen, parse
 from teleop.terminal.answer import Answer
-from teleop.terminal.printable import printable
-from teleop.terminal.table import columns, facts
+from teleop.terminal.table import columns, facts, printable
 
 SUMMARY = "summary.json"
 MODES = ("precision", "tune", "advise", "stability", "passivity", "zwidth", "reproduce", "replay")

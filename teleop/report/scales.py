@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import ceil, floor, isfinite, log10
 from typing import NamedTuple
 
-from teleop.terminal.units import PREFIX
+from teleop.terminal.table import PREFIX
 
 GREATEST = 1e30  # a value beyond is drawn as one that does not exist: nothing that is measured is as large
 

@@ -11,10 +11,10 @@ from teleop.report.extremes import Line, line_of
 from teleop.report.markup import Markup, element
 from teleop.report.scales import Axis, around, thousands
 from teleop.scene.axis_labels import AxisLabels
-from teleop.terminal.axis_choice import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
+from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
 from teleop.terminal.plotting import BLUE, DARK, GREEN, RED
 from teleop.terminal.run_plot import PANELS, TracePanel, axis_curves
-from teleop.terminal.units import PREFIX, si
+from teleop.terminal.table import PREFIX, si
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

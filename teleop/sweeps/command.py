@@ -27,8 +27,7 @@ from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, INTERRUPTED, complain, knobs_from
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import RowsProgress
-from teleop.terminal.table import facts
-from teleop.terminal.units import grouped
+from teleop.terminal.table import facts, grouped
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene

@@ -19,8 +19,7 @@ from typing import IO, TYPE_CHECKING, Any
 from teleop.errors import Refused, nearest, number_of
 from teleop.storage.files import replacing_text
 from teleop.sweeps.grid import counted, plain
-from teleop.terminal.printable import printable
-from teleop.terminal.table import columns
+from teleop.terminal.table import columns, printable
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,13 +6,15 @@ import os
 import sys
 import warnings
 from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace, _SubParsersAction
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from math import inf, isfinite
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from teleop.errors import Refused, enumerated, nearest
+from teleop.errors import Refused, enumerated, nearest, number
+from teleop.scene.axis_labels import AxisLabels, unit_on
 
 DONE, FAULT, WRONG, FORCED, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes; FORCED: a device's force may still be on
 
@@ -148,10 +150,10 @@ def _warn(python: Callable[..., None], message: Warning | str, category: type[Wa
 
 def complain(sentence: str, code: int) -> int:
     """Say `sentence` on stderr; returns `code`."""
-    from teleop.terminal import colour
-    from teleop.terminal.printable import printable
+    from teleop.terminal import screen
+    from teleop.terminal.table import printable
 
-    ours = colour.painted("teleop:", colour.NOTICE if code == DONE else colour.BAD, sys.stderr)
+    ours = screen.painted("teleop:", screen.NOTICE if code == DONE else screen.BAD, sys.stderr)
     print(ours, printable(" ".join(sentence.splitlines())), file=sys.stderr)
     return code
 
@@ -189,3 +191,98 @@ def seed_number(text: str) -> int:
     except ValueError as error:
         raise ArgumentTypeError(str(error)) from None
     return int(seed)
+
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+TOGETHER = 3  # axes that share a panel, each with a line of its own
+APART = 6  # axes in panels of their own
+_PORTS = (("f_m", "x_m"), ("f_s", "x_s"))
+
+
+def axes_of(trace: Mapping[str, Any]) -> int:
+    """How many axes a trace has."""
+    return max((column.shape[1] for name in ("x_m", "x_s") if name in trace
+                for column in [trace[name]] if column.ndim > 1), default=1)
+
+
+def most_worked(trace: Mapping[str, Any], most: int) -> list[int]:
+    """The axes that are drawn, at most so many, in order of the axes."""
+    count = axes_of(trace)
+    if count <= most:
+        return list(range(count))
+    work = work_of(trace)
+    return sorted(sorted(range(count), key=lambda i: (-work[i], i))[:most])
+
+
+def work_of(trace: Mapping[str, Any]) -> NDArray[np.float64]:
+    """What the stack's forces did along each of several axes at both ends, whatever its sign, summed up, J."""
+    import numpy as np
+
+    work = np.zeros(axes_of(trace))
+    with np.errstate(all="ignore"):  # of a run that diverged
+        for force, place in _PORTS:
+            if force in trace and place in trace:
+                work += np.nansum(np.abs(trace[force][:-1] * np.diff(trace[place], axis=0)), axis=0)
+    return work
+
+
+def left_out(trace: Mapping[str, Any], shown: Sequence[int], labels: AxisLabels) -> str:
+    """A sentence on the axes that are not drawn; empty if all are."""
+    count = axes_of(trace)
+    if len(shown) == count:
+        return ""
+    names = labels.named(count)
+    return (f"{len(shown)} of {count} axes are drawn, those over which the forces of the stack did most work: "
+            f"{enumerated([names[i] for i in shown])}")
+
+
+def by_unit(unit: str, shown: Sequence[int], labels: AxisLabels, count: int) -> dict[str, list[int]]:
+    """The axes that go on one scale, by their unit, of a quantity whose unit along a line is `unit`."""
+    units = labels.in_units(count)
+    found: dict[str, list[int]] = {}
+    for i in shown:
+        found.setdefault(unit_on(unit, units[i]), []).append(i)
+    return found
+
+
+def typed_number(option: str, text: str, *, example: str, above: float | None = None) -> float:
+    """The finite number that was typed behind `option`; `example` is one that would do. Raises `Refused`.
+
+    >>> typed_number("--tol", "1e-3", example="0.01")
+    0.001
+    """
+    try:
+        found = float(text)
+    except ValueError:
+        raise Refused(f"{option} {text} is no number; write for example {option} {example}") from None
+    return number(option, found, above=above)
+
+
+def typed_range(option: str, text: str, *, example: str, what: str = "numbers", low: float = -inf, above: float = -inf
+                ) -> tuple[float, float]:
+    """LOW:HIGH as it was typed behind `option`: finite, the lower end first and at least `low`, or more than `above`.
+
+    Raises `Refused`; `example` is a range that would do, `what` says what is typed.
+
+    >>> typed_range("--range", "10:1e4", example="1:100")
+    (10.0, 10000.0)
+    """
+    cure = f"write for example {option} {example}"
+    first, colon, second = text.partition(":")
+    try:
+        ends = float(first), float(second)
+    except ValueError:
+        colon = ""
+    if not colon:
+        raise Refused(f"{option} {text} is not LOW:HIGH in {what}; {cure}")
+    if not (isfinite(ends[0]) and isfinite(ends[1])):
+        raise Refused(f"{option} {text} must be finite; {cure}")
+    if not ends[0] < ends[1]:
+        raise Refused(f"{option} {text} is empty; write the lower end first, for example {option} {example}")
+    if ends[0] < low or ends[0] <= above:
+        must = f"not go below {low:g}" if ends[0] < low else f"lie above {above:g}"
+        raise Refused(f"{option} {text} must {must}; {cure}")
+    return ends

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
 from teleop.storage.files import read_bytes, replacing
-from teleop.terminal.printable import printable
+from teleop.terminal.table import printable
 
 if TYPE_CHECKING:
     from argparse import Namespace

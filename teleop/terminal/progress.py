@@ -10,9 +10,9 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import TextIO
 
 from teleop.errors import plural
-from teleop.terminal import colour
+from teleop.terminal import screen
 from teleop.terminal.screen import columns
-from teleop.terminal.units import duration, grouped, two_digits
+from teleop.terminal.table import duration, grouped, two_digits
 
 Show = Callable[[float, str], None]  # how much is done, and a text
 
@@ -164,7 +164,7 @@ class _StatusLine:
             room = (columns(self._stream) or 80) - 1
             fitting = [text for text in (*[bar + texts[0]] * (room >= BAR_FROM), *texts) if len(text) <= room]
             line = (fitting or [texts[-1][:room]])[0]
-            self._stream.write("\r" + colour.live_line(line, self._stream) + " " * (self._width - len(line)))
+            self._stream.write("\r" + screen.live_line(line, self._stream) + " " * (self._width - len(line)))
             self._width = len(line)
         self._stream.flush()
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING, Result
+from teleop.simulation.source import rendered
 from teleop.simulation.virtual import run
 from teleop.storage.folder import new_folder
 from teleop.terminal.answer import Answer
@@ -60,3 +61,12 @@ def with_plot(answer: Answer, result: Result, folder: Path, formats: Sequence[st
 def stem(scene: str) -> str:
     """The name, without its number, of the folder of a run of `scene` (a name, or the path of a file)."""
     return Path(scene).name.removesuffix(".py")
+
+
+def show_command(args: Namespace) -> Answer:
+    """The lines of the tick as a scene's loop has them, or one of its live ends. Raises `Refused`."""
+    scene = load_scene(args.scene, **knobs_from(args))
+    if scene.slave is None and args.end is not None:
+        raise Refused(f"scene {scene.name} has no slave, so it has no live ends; leave --end {args.end} out")
+    text = rendered(scene, args.end)
+    return Answer(text.rstrip("\n"), {"scene": scene.name, "end": args.end, "tick": text})

@@ -6,10 +6,10 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.axis_labels import unit_on
-from teleop.terminal.axis_choice import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
+from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
 from teleop.terminal.plotting import BLUE, DARK, GREEN, PNG, RED, UNDER, grid_lines, literal, new_figure, save
 from teleop.terminal.run_table import heading, verdict
-from teleop.terminal.units import PREFIX
+from teleop.terminal.table import PREFIX
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -67,7 +67,7 @@ def draw(result: Result, path: Path, formats: Sequence[str] = PNG) -> list[Path]
 
     A panel is there if the trace has one of its columns. A column that jumps is drawn as its mean and its range in each
     bin, see `binned`. Up to `TOGETHER` axes lie over each other in a panel for each unit; of more, each has a column of
-    panels, see `teleop.terminal.axis_choice`. Raises `Refused` if the extra is missing or the file cannot be written.
+    panels, see `teleop.terminal.options`. Raises `Refused` if the extra is missing or the file cannot be written.
     """
     panels = [panel for panel in PANELS if any(curve.name in result.trace for curve in panel.curves)]
     apart = axes_of(result.trace) > TOGETHER

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import number_of
 from teleop.simulation.result import law_with_gains
-from teleop.terminal.table import facts
-from teleop.terminal.units import si
+from teleop.terminal.table import facts, si
 
 if TYPE_CHECKING:
     from teleop.simulation.plan import Packets

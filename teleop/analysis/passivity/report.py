@@ -12,9 +12,8 @@ from teleop.errors import Refused
 from teleop.law.analysis_offers import instead
 from teleop.scene.axis_labels import labels_of, told_along, unit_on
 from teleop.terminal.answer import WithUnit, finite, scene_head, titled, with_units
-from teleop.terminal.ranges import typed_range
-from teleop.terminal.table import facts
-from teleop.terminal.units import si
+from teleop.terminal.options import typed_range
+from teleop.terminal.table import facts, si
 
 if TYPE_CHECKING:
     from teleop.analysis.models.coupling import Lack

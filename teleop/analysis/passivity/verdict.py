@@ -32,7 +32,7 @@ from teleop.analysis.models.peak import highest
 from teleop.errors import Refused
 from teleop.law.analysis_offers import coupling_of
 from teleop.stages.device import Device
-from teleop.terminal.units import si
+from teleop.terminal.table import si
 
 if TYPE_CHECKING:
     from teleop.analysis.models.sampled import Impedance, Needed

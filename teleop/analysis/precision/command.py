@@ -11,10 +11,9 @@ from teleop.analysis.precision.plot import draw
 from teleop.analysis.precision.report import summary, table
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import write_npz
-from teleop.terminal.answer import Answer
+from teleop.terminal.answer import Answer, Task, command_of
 from teleop.terminal.options import knobs_from
 from teleop.terminal.progress import shown_for
-from teleop.terminal.work import Task, command_of
 
 
 def find(args: Namespace) -> Task:

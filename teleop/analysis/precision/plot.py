@@ -32,7 +32,7 @@ from teleop.terminal.plotting import (
     save,
 )
 from teleop.terminal.run_table import heading
-from teleop.terminal.units import si
+from teleop.terminal.table import si
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

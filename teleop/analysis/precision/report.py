@@ -14,8 +14,7 @@ from teleop.errors import number_of
 from teleop.scene.axis_labels import labels_of, told_along, unit_on
 from teleop.terminal.answer import WithUnit, finite, scene_head, with_units
 from teleop.terminal.run_table import heading
-from teleop.terminal.table import columns, facts
-from teleop.terminal.units import si
+from teleop.terminal.table import columns, facts, si
 
 if TYPE_CHECKING:
     from teleop.analysis.precision.measure import Entry, Precision

@@ -12,11 +12,10 @@ from teleop.analysis.stability.report import StabilityAnswer, ask, summary, tabl
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import write_npz
-from teleop.terminal.answer import Answer
+from teleop.terminal.answer import Answer, Task, command_of, interrupts_wait
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import shown_for
-from teleop.terminal.work import Task, command_of, interrupts_wait
 
 
 def find(args: Namespace) -> Task:

@@ -22,7 +22,7 @@ from teleop.terminal.plotting import (
     new_figure,
     save,
 )
-from teleop.terminal.units import si
+from teleop.terminal.table import si
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

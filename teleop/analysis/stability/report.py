@@ -24,9 +24,8 @@ from teleop.errors import Refused, enumerated, number_of, plural
 from teleop.law.analysis_offers import instead
 from teleop.scene.axis_labels import labels_of
 from teleop.terminal.answer import WithUnit, scene_head, titled, with_units
-from teleop.terminal.ranges import typed_number, typed_range
-from teleop.terminal.table import columns, facts
-from teleop.terminal.units import si
+from teleop.terminal.options import typed_number, typed_range
+from teleop.terminal.table import columns, facts, si
 
 if TYPE_CHECKING:
     from teleop.analysis.models.continuous import Continuous

@@ -20,7 +20,7 @@ from teleop.analysis.zwidth.passive import Region, passive_region
 from teleop.analysis.zwidth.plane import ALL, Boundary, LoopFamily, Span, boundary, loop, rows
 from teleop.errors import Refused
 from teleop.law.analysis_offers import instead
-from teleop.terminal.ranges import typed_range
+from teleop.terminal.options import typed_range
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene

@@ -10,10 +10,9 @@ from teleop.analysis.zwidth.assess import assess, span
 from teleop.analysis.zwidth.plot import PLOTS
 from teleop.analysis.zwidth.report import summary, table
 from teleop.scene.loading import load_scene
-from teleop.terminal.answer import Answer
+from teleop.terminal.answer import Answer, Task, command_of
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
 from teleop.terminal.progress import shown_for
-from teleop.terminal.work import Task, command_of
 
 
 def find(args: Namespace) -> Task:

@@ -24,12 +24,10 @@ from teleop.storage.files import replacing
 from teleop.storage.folder import new_folder
 from teleop.storage.strict_json import write_document
 from teleop.terminal.answer import Answer, finite, scene_head, titled
-from teleop.terminal.axis_choice import TOGETHER, by_unit
-from teleop.terminal.options import DONE, FAULT, knobs_from
+from teleop.terminal.options import DONE, FAULT, TOGETHER, by_unit, knobs_from
 from teleop.terminal.plotting import BLUE, DARK, RED, UNDER, asked_formats, grid_lines, literal, new_figure, save
 from teleop.terminal.run_plot import LINES
-from teleop.terminal.table import facts
-from teleop.terminal.units import si
+from teleop.terminal.table import facts, si
 
 if TYPE_CHECKING:
     import numpy as np

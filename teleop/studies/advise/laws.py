@@ -32,7 +32,7 @@ from teleop.sweeps.grid import plain
 from teleop.sweeps.kernels.digest import digest
 from teleop.sweeps.runner import cores, plan_sweep
 from teleop.sweeps.store import Store
-from teleop.terminal.units import si
+from teleop.terminal.table import si
 
 MARGIN = 2.0  # by which the wall may be stiffer in the search
 SETTLED = 20.0  # s after which the time that is left is shown

@@ -34,7 +34,7 @@ from teleop.studies.tune.search import Tuned
 from teleop.sweeps.definition import DEFINITION
 from teleop.sweeps.runner import cores
 from teleop.sweeps.typed import listed
-from teleop.terminal.answer import Answer
+from teleop.terminal.answer import Answer, Task, command_of
 from teleop.terminal.options import INTERRUPTED, knobs_from
 from teleop.terminal.plotting import (
     BLUE,
@@ -52,9 +52,7 @@ from teleop.terminal.plotting import (
     save,
 )
 from teleop.terminal.progress import shown_for
-from teleop.terminal.table import columns, facts
-from teleop.terminal.units import si
-from teleop.terminal.work import Task, command_of
+from teleop.terminal.table import columns, facts, si
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -49,7 +49,7 @@ from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import RowsProgress, shown_on
-from teleop.terminal.units import duration
+from teleop.terminal.table import duration
 
 WIDE = 120  # columns of what is no terminal
 CSV, SUMMARY = "rows.csv", "summary.json"

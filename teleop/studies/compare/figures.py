@@ -19,8 +19,7 @@ from typing import Any, NamedTuple
 from teleop.errors import enumerated, number_of
 from teleop.scene.axis_labels import TURNING, AxisLabels
 from teleop.studies.compare.cases import Case
-from teleop.terminal.printable import printable
-from teleop.terminal.table import columns
+from teleop.terminal.table import columns, printable
 
 LOW, ONE, MORE, NEITHER = "low", "one", "more", ""  # the value that is best: the least, 1, the greatest, none
 FREE, TOUCHED, ANY = "free", "touched", "any"  # the environments whose rows count

@@ -21,9 +21,8 @@ from teleop.studies.reproduce.publication import (
     Publication,
     Replication,
 )
-from teleop.terminal.answer import Answer
+from teleop.terminal.answer import Answer, Task, command_of
 from teleop.terminal.table import columns
-from teleop.terminal.work import Task, command_of
 
 Reruns = Mapping[str, tuple[Publication, Sequence[Replication]]]
 WORDS = {REPRODUCED: "reproduced", DIFFERS: "different", FITTED: "fitted, which is no reproduction",

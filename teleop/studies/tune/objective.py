@@ -36,7 +36,7 @@ from teleop.law.offers import LEDGERS, claims_of
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.studies.baseline import Baseline
-from teleop.terminal.units import si
+from teleop.terminal.table import si
 
 SCENE, FREE, STIFF = "scene", "free", "stiff"  # the rows of a point: as it is, in free space, m times as stiff
 WHERE = {SCENE: "", FREE: " in free space", STIFF: " against the stiffer environment of the margin"}

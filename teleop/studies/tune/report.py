@@ -20,13 +20,11 @@ from teleop.storage.files import replacing_text
 from teleop.studies.margin import Margin
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, Score
 from teleop.studies.tune.search import Tuned, tune_law
-from teleop.terminal.answer import Answer, finite
+from teleop.terminal.answer import Answer, Task, command_of, finite
 from teleop.terminal.options import knobs_from
 from teleop.terminal.plotting import BLACK, BLUE, ORANGE, PALE, grid_lines, literal, new_figure, save
 from teleop.terminal.progress import shown_for
-from teleop.terminal.table import columns, facts
-from teleop.terminal.units import si
-from teleop.terminal.work import Task, command_of
+from teleop.terminal.table import columns, facts, si
 
 SHOWN = {  # the name of a term, and the figure behind it: task and metric
     "tracking": ("tracking error, rms", SCENE, "x_err_rms"),

@@ -16,8 +16,7 @@ from teleop.storage.folder import is_being_written
 from teleop.storage.strict_json import Misshapen, parse, write_document
 from teleop.terminal.answer import Answer
 from teleop.terminal.plotting import PNG
-from teleop.terminal.table import facts
-from teleop.terminal.units import grouped
+from teleop.terminal.table import facts, grouped
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene

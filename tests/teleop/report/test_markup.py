@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.report.markup import LONGEST, Markup, element, empty, path_data, text
-from teleop.terminal.printable import printable
+from teleop.terminal.table import printable
 from tests.teleop.report.read_page import Page
 
 

@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from teleop.scene.library import ROOT
-from teleop.terminal import colour
-from teleop.terminal.colour import BAD, BOLD, GOOD, NOTICE
+from teleop.terminal import screen
 from teleop.terminal.progress import Progress
+from teleop.terminal.screen import BAD, BOLD, GOOD, NOTICE
 
 ORDERS = re.compile(r"\x1b\[\d*m")
 TABLE = """\
@@ -48,29 +48,29 @@ def inside(order: str, text: str) -> str:
 
 class TestWhereThereAreColours:
     def test_a_terminal_has_them(self) -> None:
-        assert colour.has_colours(Terminal())
+        assert screen.has_colours(Terminal())
 
     def test_a_file_or_a_pipe_has_none(self) -> None:
-        assert not colour.has_colours(io.StringIO())
+        assert not screen.has_colours(io.StringIO())
 
     @pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("NO_COLOR", "0"), ("TERM", "dumb")])
     def test_nobody_gets_them_who_asked_for_none(self, monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
         monkeypatch.setenv(name, value)
-        assert not colour.has_colours(Terminal())
-        assert colour.answer(TABLE, Terminal()) == TABLE
+        assert not screen.has_colours(Terminal())
+        assert screen.answer(TABLE, Terminal()) == TABLE
 
     def test_an_empty_no_color_asks_for_nothing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("NO_COLOR", "")
-        assert colour.has_colours(Terminal())
+        assert screen.has_colours(Terminal())
 
     def test_a_terminal_of_which_nothing_is_known_has_none(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv("TERM")
-        assert not colour.has_colours(Terminal())
+        assert not screen.has_colours(Terminal())
 
 
 class TestAnAnswer:
     def test_of_a_run_has_heading_status_and_the_labels_of_what_to_heed(self) -> None:
-        lines = colour.answer(TABLE, Terminal()).splitlines()
+        lines = screen.answer(TABLE, Terminal()).splitlines()
         assert lines == [
             "run            " + inside(BOLD, "hard_wall, law wave, virtual time, seed 0"),
             "status         " + inside(GOOD, "ok") + ": ran to its end, 10 ticks",
@@ -82,21 +82,21 @@ class TestAnAnswer:
         ("ok", GOOD), ("limit cycle", NOTICE), ("unstable", BAD), ("diverged", BAD), ("stopped", NOTICE)])
     def test_says_each_status_in_its_colour(self, status: str, order: str) -> None:
         for line in (f"status   {status}: and why", f"  1     0  direct  {status}  8957", f"6 done: 5 {status}, 1 odd"):
-            assert colour.answer(f"-\n{line}", Terminal()) == "-\n" + line.replace(status, inside(order, status))
+            assert screen.answer(f"-\n{line}", Terminal()) == "-\n" + line.replace(status, inside(order, status))
 
     def test_leaves_the_same_words_in_a_sentence_alone(self) -> None:
         said = "-\ndelay margin   unstable from a round trip of 29 ticks on, stopped by it\nthe okapi is  okay"
-        assert colour.answer(said, Terminal()) == said
+        assert screen.answer(said, Terminal()) == said
 
     def test_has_headings_over_lists(self) -> None:
-        assert colour.answer("scenes\n  canonical  A hand.\n\nlaws", Terminal()) == \
+        assert screen.answer("scenes\n  canonical  A hand.\n\nlaws", Terminal()) == \
             inside(BOLD, "scenes") + "\n  canonical  A hand.\n\nlaws"
 
     def test_is_as_wide_with_them_as_without(self) -> None:
-        assert ORDERS.sub("", colour.answer(TABLE, Terminal())) == TABLE
+        assert ORDERS.sub("", screen.answer(TABLE, Terminal())) == TABLE
 
     def test_in_a_file_is_as_it_was(self) -> None:
-        assert colour.answer(TABLE, io.StringIO()) == TABLE
+        assert screen.answer(TABLE, io.StringIO()) == TABLE
 
 
 class TestTheLiveLine:

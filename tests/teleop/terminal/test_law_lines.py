@@ -12,7 +12,7 @@ import pytest
 
 from teleop import At, find_law, kind, seed_energy
 from teleop.law import BUILT_IN
-from teleop.terminal.law_lines import law_line, law_words
+from teleop.terminal.listing import law_line, law_words
 from tests.teleop.conftest import Answer
 
 Typed = Callable[..., Answer]

@@ -7,7 +7,7 @@ from math import inf
 import pytest
 
 from teleop import Refused
-from teleop.terminal.ranges import typed_number, typed_range
+from teleop.terminal.options import typed_number, typed_range
 
 
 class TestRange:

@@ -11,8 +11,8 @@ import pytest
 from teleop import Refused, Result, load_scene, run
 from teleop.simulation.result import Packets
 from teleop.terminal.options import guarded
-from teleop.terminal.printable import printable
 from teleop.terminal.run_table import heading, table
+from teleop.terminal.table import printable
 
 
 def rows(result: Result) -> dict[str, list[str]]:

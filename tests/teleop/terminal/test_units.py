@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.terminal.units import PREFIX, duration, grouped, si
+from teleop.terminal.table import PREFIX, duration, grouped, si
 
 
 class TestSI:

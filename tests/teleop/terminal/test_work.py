@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.terminal.answer import Answer
-from teleop.terminal.work import Task, command_of, interrupts_wait
+from teleop.terminal.answer import Answer, Task, command_of, interrupts_wait
 
 
 @pytest.fixture(autouse=True)

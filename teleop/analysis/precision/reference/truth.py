@@ -23,7 +23,7 @@ from teleop.analysis.precision.reference.steps import Steps
 from teleop.errors import Refused
 from teleop.simulation.integrators.parts import core_of, has_closed_form, stills
 from teleop.simulation.virtual import run
-from teleop.terminal.units import si
+from teleop.terminal.table import si
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene

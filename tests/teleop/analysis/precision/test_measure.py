@@ -33,7 +33,7 @@ from teleop.simulation.bodies import Bodies
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.integrators.stepped import method_bodies
 from teleop.simulation.virtual import run
-from teleop.terminal.units import si
+from teleop.terminal.table import si
 
 Typed = Callable[..., Any]
 BY_NAME = {method.name: method for method in METHODS}

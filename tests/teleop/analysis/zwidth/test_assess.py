@@ -16,7 +16,7 @@ import pytest
 import teleop.analysis.zwidth.assess
 import teleop.analysis.zwidth.command
 import teleop.analysis.zwidth.measured
-import teleop.terminal.work
+import teleop.terminal.answer
 from teleop.analysis.models.by_axis import along
 from teleop.analysis.zwidth.assess import ZWidth, assess, span
 from teleop.analysis.zwidth.levers import levers
@@ -331,7 +331,7 @@ class TestCommand:
             signal.raise_signal(signal.SIGINT)
             write_document(path, document)
 
-        monkeypatch.setattr(teleop.terminal.work, "write_document", slow)
+        monkeypatch.setattr(teleop.terminal.answer, "write_document", slow)
         assert left_by(typed, "here") == {"summary.json"}
         assert json.loads(Path("here/summary.json").read_text())["status"] == "interrupted"
 
@@ -344,7 +344,7 @@ class TestCommand:
             seen.append(signal.getsignal(signal.SIGINT))
             write_document(path, document)
 
-        monkeypatch.setattr(teleop.terminal.work, "write_document", look)
+        monkeypatch.setattr(teleop.terminal.answer, "write_document", look)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         typed("zwidth", "virtual_wall", "--json", "--out", "here")
         assert seen == [signal.SIG_IGN] == [signal.getsignal(signal.SIGINT)]
