@@ -59,11 +59,16 @@ def nearest(word: str, known: Iterable[str]) -> str:
     >>> nearest("wavee", ["wave", "pfra"])
     'did you mean wave?'
     """
+    names = sorted(known)
+    close = closest(word, names)
+    return f"did you mean {' or '.join(close)}?" if close else f"there are: {', '.join(names)}"
+
+
+def closest(word: str, known: Iterable[str]) -> list[str]:
+    """At most three of the known names that are close to `word`, the closest first."""
     from difflib import get_close_matches
 
-    names = sorted(known)
-    close = get_close_matches(word, names, n=3, cutoff=0.6)
-    return f"did you mean {' or '.join(close)}?" if close else f"there are: {', '.join(names)}"
+    return get_close_matches(word, sorted(known), n=3, cutoff=0.6)
 
 
 def plural(count: float, one: str, many: str = "") -> str:

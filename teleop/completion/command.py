@@ -1,4 +1,4 @@
-"""What `teleop completion` does."""
+"""The command `teleop completion`."""
 
 from __future__ import annotations
 

@@ -46,11 +46,11 @@ def script(shell: str, parser: ArgumentParser) -> str:
     head = "".join(f"# {line}\n" for line in (f"Completion of teleop in {shell}, by `teleop completion {shell}`.",
                                              f"To have it: {INSTALL[shell]}", "Again after an upgrade."))
     core = (at / "complete.sh").read_text() + "".join(_tables(parser))
-    own = (at / SHELLS[shell]).read_text()
+    own_knobs = (at / SHELLS[shell]).read_text()
     if shell == "fish":
         escaped = core.replace("\\", "\\\\").replace("'", "\\'")
-        return f"{head}set -g __teleop_core '{escaped}'\n{own}"
-    return f"{'#compdef teleop' + chr(10) if shell == 'zsh' else ''}{head}{core}{own}"
+        return f"{head}set -g __teleop_core '{escaped}'\n{own_knobs}"
+    return f"{'#compdef teleop' + chr(10) if shell == 'zsh' else ''}{head}{core}{own_knobs}"
 
 
 def commands_of(parser: ArgumentParser) -> dict[str, ArgumentParser]:
@@ -59,7 +59,7 @@ def commands_of(parser: ArgumentParser) -> dict[str, ArgumentParser]:
 
 
 def kind_of(command: str, action: Action) -> str:
-    """What the value of an argument is; empty where it takes none, or none that can be told."""
+    """Kind of the value of an argument; empty where it takes none, or none that is known."""
     if action.nargs == 0 or (action.option_strings and action.nargs == "?"):  # the second may stand alone
         return ""
     if action.choices is not None:
@@ -72,17 +72,18 @@ def kind_of(command: str, action: Action) -> str:
 def _tables(parser: ArgumentParser) -> Iterator[str]:
     """The functions of shell that say what is known: defaults, options and places of commands, words of each kind."""
     commands = commands_of(parser)
-    told = {"commands": {name: each.description or "" for name, each in commands.items()}, "options ": _options(parser)}
+    texts = {"commands": {name: each.description or "" for name, each in commands.items()},
+             "options ": _options(parser)}
     takes: dict[str, tuple[str, str]] = {}
     places: dict[str, str] = {}
     defaults: dict[str, str] = {}
     for name, each in commands.items():
-        told[f"options {name}"] = _options(each)
+        texts[f"options {name}"] = _options(each)
         position = 0
         for action in each._actions:
             kind = kind_of(name, action)
             if kind.startswith("one-of "):
-                told[kind] = dict.fromkeys(kind.split()[1:], "")
+                texts[kind] = dict.fromkeys(kind.split()[1:], "")
             if not action.option_strings:
                 position += 1
                 places[f"{name} {position}"] = kind
@@ -91,23 +92,23 @@ def _tables(parser: ArgumentParser) -> Iterator[str]:
                           for option in action.option_strings}
             if kind == "scene" and action.default:
                 defaults[name] = str(action.default)
-    told |= _words()
+    texts |= _words()
     scenes, laws = names()["scenes"], names()["laws"]
     law_of = {}
     for scene in scenes:
-        knobs = _found("scene", scene)
-        told[f"scene {scene}"] = {name: _meant(one) for name, one in {**knobs, **WIDE}.items()}
-        told |= _values(knobs)
+        knobs = _look_up("scene", scene)
+        texts[f"scene {scene}"] = {name: _meant(one) for name, one in {**knobs, **WIDE}.items()}
+        texts |= _values(knobs)
         if "law" in knobs:
             law_of[scene] = _name_of(knobs["law"].default)
-    told |= _values(WIDE)
-    told |= {f"law {law}": {f"law.{knob}": _meant(one) for knob, one in _found("law", law).items()} for law in laws}
+    texts |= _values(WIDE)
+    texts |= {f"law {law}": {f"law.{knob}": _meant(one) for knob, one in _look_up("law", law).items()} for law in laws}
     yield _function("_teleop_option", takes, lambda value: f"_want={_quoted(value[0])} _many={value[1]}", '"$1 $2"',
                     otherwise="_want= _many=")
     yield _function("_teleop_place", places, lambda kind: f"_want={_quoted(kind)}", '"$1 $2"', otherwise="_want=")
     yield _function("_teleop_default", defaults, lambda scene: f"_scene={_quoted(scene)}", '"$1"')
     yield _function("_teleop_law", law_of, lambda law: f"_law={_quoted(law)}", '"$1"')
-    yield _function("_teleop_data", told, lambda words: "_teleop_say" + "".join(
+    yield _function("_teleop_data", texts, lambda words: "_teleop_say" + "".join(
         f" {_quoted(word)} {_quoted(what)}" for word, what in words.items()), '"$1"',
         otherwise=f"case $1 in 'scene '*) _teleop_data {_quoted('scene of a file')} ;; esac")
 
@@ -142,7 +143,7 @@ def _options(parser: ArgumentParser) -> Words:
             if option.startswith("--") and action.help != SUPPRESS and action.nargs != REMAINDER}
 
 
-def _found(kind: str, name: str) -> Mapping[str, Declared]:
+def _look_up(kind: str, name: str) -> Mapping[str, Declared]:
     """The knobs of a scene or a law; none of one of a plug-in that cannot be loaded."""
     try:
         return next((one.knobs for one in find(name) if one.kind == kind), {})

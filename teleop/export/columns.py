@@ -1,4 +1,4 @@
-"""What the columns of a trace are: unit, meaning, topic, and by which names their numbers go in other tools.
+"""Columns of a trace: unit, meaning, topic, and the names of their numbers in other tools.
 
 Foxglove draws an array as one curve and has no names for its entries, so what has axes is an object with a field for
 each, by its name, in one axis too: a layout made for one run fits the others. A CSV has a column for each.

@@ -190,7 +190,7 @@ def _tell_result(args: Namespace, result: Result, folder: Path, command: list[st
         from teleop.terminal.run_table import table
 
         trust = " --trust" if asks_for_trust(args.scene, knobs_from(args)) else ""
-        print(screen.shown(f"{table(result)}\nwritten to {folder}; `teleop report{trust} MASTER SLAVE` puts the two "
+        print(screen.render(f"{table(result)}\nwritten to {folder}; `teleop report{trust} MASTER SLAVE` puts the two "
                            "ends together", sys.stdout))
 
 

@@ -28,7 +28,7 @@ NAME = "report.html"
 def command(args: Namespace) -> Answer:
     """Show what the folders hold, draw it if asked to, and write the page. Raises `Refused`."""
     folders = [Path(folder) for folder in args.folders]
-    formats = asked_formats(args, asked=bool(args.picture or args.metric))
+    formats = asked_formats(args, wanted=bool(args.picture or args.metric))
     if len(folders) > MOST_FOLDERS:
         raise Refused(f"{len(folders)} folders are more than one page can show; give at most {MOST_FOLDERS}")
     if len(folders) == 2 and any((folder / FILE).is_file() for folder in folders):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, closest, nearest
 from teleop.knob import Declared, knobs_of_fields
 from teleop.law import BUILT_IN, find_law, known_laws
 from teleop.laws.around.names import EXAMPLES, STAGES
@@ -45,6 +45,15 @@ def names() -> dict[str, dict[str, str]]:
     }
 
 
+class UnknownName(Refused):
+    """A name that no scene, law, effect or estimator has; `subject`: the refusal without the names that there are."""
+
+    def __init__(self, name: str, known: Collection[str]) -> None:
+        self.subject = f"there is no scene, law, effect or estimator {name!r}"
+        self.is_close = bool(closest(name, known))
+        super().__init__(f"{self.subject}; {nearest(name, known)}")
+
+
 def find(name: str) -> list[Named]:
     """The scene, law, effect or estimator `name`, each of them if several have that name; of a file what is in it.
 
@@ -72,8 +81,7 @@ def find(name: str) -> list[Named]:
         found.append(Named("velocity estimator", name, _line(estimator), knobs_of_fields(estimator),
                            f"--set 'velocity={name}(NAME=VALUE)' of a scene that has this knob"))
     if not found:
-        there = nearest(name, {*known_scenes(), *laws, *STAGES, *effects, *estimators})
-        raise Refused(f"there is no scene, law, effect or estimator {name!r}; {there}")
+        raise UnknownName(name, {*known_scenes(), *laws, *STAGES, *effects, *estimators})
     return found
 
 

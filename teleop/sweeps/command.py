@@ -103,7 +103,7 @@ class Swept(NamedTuple):
 def command(args: Namespace) -> Answer:
     """What `teleop sweep` does: run the rows, write summary.json and draw what is asked for. Raises `Refused`."""
     picture = PictureRequest(args.picture, args.metric)
-    formats = asked_formats(args, asked=any(picture))
+    formats = asked_formats(args, wanted=any(picture))
     swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
                       latin=args.latin, random=args.random, cluster=args.cluster, workers=args.workers,
                       engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds,

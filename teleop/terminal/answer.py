@@ -21,7 +21,7 @@ from teleop.storage.folder import LAST, NewFolder, new_folder
 from teleop.storage.strict_json import write_document, written
 from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.plotting import asked_formats
-from teleop.terminal.screen import shown
+from teleop.terminal.screen import render
 from teleop.terminal.table import printable
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def say(answer: Answer, *, json: bool) -> None:
     text = written(answer.document) if json else answer.text
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     text = printable(text, lines=True).encode(encoding, "backslashreplace").decode(encoding)
-    print(text if json else shown(text, sys.stdout))
+    print(text if json else render(text, sys.stdout))
 
 
 def titled(scene: Scene) -> str:
@@ -105,16 +105,16 @@ def with_units(body: Mapping[str, Any]) -> dict[str, Any]:
     """
     by_key: dict[str, dict[str, str]] = {}  # the units of each key, by path
 
-    def plain(value: Any, path: tuple[str, ...] = ()) -> Any:
+    def without_units(value: Any, path: tuple[str, ...] = ()) -> Any:
         if isinstance(value, WithUnit):
             if value.unit:
                 by_key.setdefault(path[-1], {})[".".join(path)] = value.unit
             return value.value
         if isinstance(value, Mapping):
-            return {key: plain(each, (*path, key)) for key, each in value.items()}
-        return [plain(each, path) for each in value] if isinstance(value, list) else value
+            return {key: without_units(each, (*path, key)) for key, each in value.items()}
+        return [without_units(each, path) for each in value] if isinstance(value, list) else value
 
-    values = plain(body)
+    values = without_units(body)
     units = {"dt": "s"}
     for key, by_path in by_key.items():
         units |= by_path if len({*by_path.values()}) > 1 else {key: next(iter(by_path.values()))}

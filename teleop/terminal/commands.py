@@ -1,4 +1,4 @@
-"""What may be typed: the commands, their options and their help."""
+"""The command line: commands, their options and their help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `teleop list` does: all that has a name, and of each its knobs, for a person and as JSON."""
+"""The command `teleop list`: everything that has a name, with its knobs, for a person and as JSON."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, closest, nearest
 from teleop.kind import kinds
 from teleop.knob import Declared, Knob
 from teleop.law import BUILT_IN, find_law, known_laws, messages
 from teleop.law.offers import CONDITIONS, claims_of, seed_energy, stores
-from teleop.scene.catalogue import Named, find, names
+from teleop.scene.catalogue import Named, UnknownName, find, names
 from teleop.scene.device_names import KINDS, device_line, known_devices
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
@@ -55,25 +55,23 @@ PLAYOUTS = (
 
 
 def command(args: Namespace) -> Answer:
-    """All that there is by name, a table of one kind, or the knobs of one name. Raises `Refused`."""
+    """List everything by name, a table of one kind, or the knobs of one name. Raises `Refused`."""
     if args.name is None:
         return _overview()
     if args.name in TABLES:
         rows, after = TABLES[args.name]()
         return Answer("\n".join([f"{HEADINGS.get(args.name, args.name)}", _aligned(rows), *after]), {args.name: rows})
     try:
-        found = find(args.name)
-    except Refused as refused:
+        entry = find(args.name)
+    except UnknownName as unknown:
         if rows := _devices_called(args.name):
             return Answer(_aligned(rows), {"found": rows})
-        unknown, _, known = str(refused).partition("; ")
-        near = nearest(args.name, TABLES)
-        if near.startswith("did you mean"):
-            raise Refused(f"{unknown}; {near}") from None
-        if known.startswith("there are"):
-            raise Refused(f"{refused}; and the kinds {', '.join(TABLES)}") from None
+        if closest(args.name, TABLES):
+            raise Refused(f"{unknown.subject}; {nearest(args.name, TABLES)}") from None
+        if not unknown.is_close:
+            raise Refused(f"{unknown}; and the kinds {', '.join(TABLES)}") from None
         raise
-    return Answer("\n\n".join(map(_told, found)), {"found": [_document(one) for one in found]})
+    return Answer("\n\n".join(map(_text, entry)), {"found": [_document(one) for one in entry]})
 
 
 def _overview() -> Answer:
@@ -160,46 +158,46 @@ TABLES: dict[str, Callable[[], tuple[Rows, list[str]]]] = {
 }
 
 
-def _told(found: Named) -> str:
-    """What is said of one name: a line, its knobs, how they are set."""
-    lines = [f"{found.kind} {found.name}" + (f": {found.meaning}" if found.meaning else "")]
-    if found.knobs:
-        lines += [_aligned(_knob_rows(found.knobs)), f"  set with: {found.how}"]
-    if found.kind == "law":
+def _text(entry: Named) -> str:
+    """Text on one name: a line, its knobs, how they are set."""
+    lines = [f"{entry.kind} {entry.name}" + (f": {entry.meaning}" if entry.meaning else "")]
+    if entry.knobs:
+        lines += [_aligned(_knob_rows(entry.knobs)), f"  set with: {entry.how}"]
+    if entry.kind == "law":
         from teleop.terminal.listing import law_words
 
-        words, _ = law_words(found.made)
+        words, _ = law_words(entry.made)
         lines += ["", "what it sends, claims and keeps", *words] if words else []
-    if found.kind == "scene":
-        own = {name: one for name, one in WIDE.items() if name not in found.knobs}
+    if entry.kind == "scene":
+        common = {name: one for name, one in WIDE.items() if name not in entry.knobs}
         lines += ["", "knobs of every scene, beside --seed N, which keys every random draw of the link",
-                  _aligned(_knob_rows(own)), "  set with: --set NAME=VALUE"]
+                  _aligned(_knob_rows(common)), "  set with: --set NAME=VALUE"]
     return "\n".join(lines)
 
 
-def _document(found: Named) -> dict[str, Any]:
-    told = {"kind": found.kind, "name": found.name, "meaning": found.meaning, "set_with": found.how,
-            "knobs": [_knob(name, one) for name, one in found.knobs.items()]}
-    if found.kind == "law":
+def _document(entry: Named) -> dict[str, Any]:
+    document = {"kind": entry.kind, "name": entry.name, "meaning": entry.meaning, "set_with": entry.how,
+            "knobs": [_knob(name, one) for name, one in entry.knobs.items()]}
+    if entry.kind == "law":
         from teleop.terminal.listing import law_words
 
-        told |= law_words(found.made)[1]
-    if found.kind == "scene":
-        told["of_every_scene"] = [_knob(name, one) for name, one in WIDE.items() if name not in found.knobs]
-    return told
+        document |= law_words(entry.made)[1]
+    if entry.kind == "scene":
+        document["of_every_scene"] = [_knob(name, one) for name, one in WIDE.items() if name not in entry.knobs]
+    return document
 
 
-def _knob(name: str, found: Declared) -> dict[str, Any]:
-    knob = found.knob
-    default = found.default
-    plain = default if isinstance(default, bool | int | float | str | None) else _shown(default)
-    return {"name": name, "type": _kind(found.kind), "default": None if default is ... else plain,
-            "must_be_given": default is ..., "unit": knob.unit, "meaning": meaning_of(found),
+def _knob(name: str, entry: Declared) -> dict[str, Any]:
+    knob = entry.knob
+    default = entry.default
+    plain = default if isinstance(default, bool | int | float | str | None) else _default(default)
+    return {"name": name, "type": _kind(entry.kind), "default": None if default is ... else plain,
+            "must_be_given": default is ..., "unit": knob.unit, "meaning": meaning_of(entry),
             "low": knob.low, "above": knob.above, "high": knob.high, "choices": list(knob.choices)}
 
 
 def _knob_rows(knobs: Mapping[str, Declared]) -> Rows:
-    return [{"knob": name, "type": _kind(one.kind), "default": _shown(one.default), "": _remark(one)}
+    return [{"knob": name, "type": _kind(one.kind), "default": _default(one.default), "": _remark(one)}
             for name, one in knobs.items()]
 
 
@@ -208,8 +206,8 @@ def _aligned(rows: Rows, *, heading: bool = True) -> str:
     cells = (["" if cell is None else str(cell) for cell in row.values()] for row in rows)
     lines = [[*rows[0]], *cells][0 if heading else 1:]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    told = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
-    return "\n".join(f"  {line}".rstrip() for line in told)
+    rows = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return "\n".join(f"  {line}".rstrip() for line in rows)
 
 
 def _kind(hint: Any) -> str:
@@ -219,7 +217,7 @@ def _kind(hint: Any) -> str:
     return re.sub(r"[\w.]+\.(\w+)", r"\1", text)
 
 
-def _shown(default: Any) -> str:
+def _default(default: Any) -> str:
     if default is ...:
         return "(must be given)"
     if isinstance(default, Path) and default.is_relative_to(ROOT):
@@ -227,14 +225,14 @@ def _shown(default: Any) -> str:
     return "none" if default is None else str(default)
 
 
-def _remark(found: Declared) -> str:
+def _remark(entry: Declared) -> str:
     """Unit, meaning and bounds of a knob."""
-    return ", ".join(part for part in (found.knob.unit, meaning_of(found), *_bounds(found.knob)) if part)
+    return ", ".join(part for part in (entry.knob.unit, meaning_of(entry), *_bounds(entry.knob)) if part)
 
 
-def meaning_of(found: Declared) -> str:
-    """What a knob says that it is, or what all of its type are."""
-    return found.knob.meaning or MEANINGS.get(_kind(found.kind), "")
+def meaning_of(entry: Declared) -> str:
+    """Meaning of a knob: its own, or that of its type."""
+    return entry.knob.meaning or MEANINGS.get(_kind(entry.kind), "")
 
 
 def _bounds(knob: Knob) -> list[str]:
@@ -249,7 +247,7 @@ LINKS = (("a constant 50 ms each way", "delay(0.05)"),  # over which the conditi
 
 @dataclass(frozen=True, kw_only=True)
 class LawLine:
-    """What a law with two ends sends each way, "x, v, wave u"; what it claims; the energy it begins with, J."""
+    """Messages of a law with two ends each way, "x, v, wave u"; its claims; the energy it begins with, J."""
 
     fwd: str
     bwd: str
@@ -264,7 +262,7 @@ class LawLine:
 
 
 def law_line(law: Any) -> LawLine | None:
-    """What is said of a law; None of a one-port law, which sends and claims nothing."""
+    """Line on a law; None for a one-port law, which sends and claims nothing."""
     if not hasattr(law, "master"):
         return None
     fwd, bwd = (_fields(message) for message in messages(law))
@@ -272,19 +270,19 @@ def law_line(law: Any) -> LawLine | None:
 
 
 def _fields(message: type[Any]) -> str:
-    told = [name if kind == "sample" else f"{kind} {name}" for name, kind in kinds(message).items()]
-    return ", ".join(told) or "nothing"
+    fields = [name if kind == "sample" else f"{kind} {name}" for name, kind in kinds(message).items()]
+    return ", ".join(fields) or "nothing"
 
 
 def law_rows(meanings: Mapping[str, str]) -> tuple[list[dict[str, Any]], list[str]]:
     """A row for each law, `meanings` by its name; one of a plug-in is not imported, so little is known of it."""
     rows: list[dict[str, Any]] = []
     for name in sorted(known_laws()):
-        said = law_line(find_law(name)()) if name in BUILT_IN else None
+        line = law_line(find_law(name)()) if name in BUILT_IN else None
         row: dict[str, Any] = {"name": name, "fwd": None, "bwd": None, "claims": None, "seed_energy": None}
-        if said is not None:
-            row |= {"fwd": said.fwd, "bwd": said.bwd, "claims": said.claimed,
-                    "seed_energy": None if said.seed is None else si(said.seed, "J")}
+        if line is not None:
+            row |= {"fwd": line.fwd, "bwd": line.bwd, "claims": line.claimed,
+                    "seed_energy": None if line.seed is None else si(line.seed, "J")}
         elif name in BUILT_IN:
             row |= {"fwd": "(one port)"}
         rows.append({**row, "meaning": meanings[name]})
@@ -294,10 +292,10 @@ def law_rows(meanings: Mapping[str, str]) -> tuple[list[dict[str, Any]], list[st
         "`teleop list NAME` shows the knobs of one of them, and its conditions."]
 
 
-def _condition(condition: str, said: LawLine) -> str:
+def _condition(condition: str, line: LawLine) -> str:
     """A claim's condition in words; of a law without waves nothing of how they are played."""
     words = CONDITIONS[condition]
-    return words if "wave " in said.fwd + said.bwd else words.partition(", with waves")[0]
+    return words if "wave " in line.fwd + line.bwd else words.partition(", with waves")[0]
 
 
 def law_words(law: Any) -> tuple[list[str], dict[str, Any]]:
@@ -306,18 +304,18 @@ def law_words(law: Any) -> tuple[list[str], dict[str, Any]]:
         made = law()
     except Exception:  # a law that has to be given numbers is known without them by its knobs alone
         return [], {}
-    said = law_line(made)
-    if said is None:
+    line = law_line(made)
+    if line is None:
         return ["  one port: it sends nothing"], {}
-    lines = [f"  sends fwd {said.fwd}; bwd {said.bwd}"]
-    lines += [f"  claims {ledger} >= 0 {_condition(condition, said)}" for ledger, condition in said.claims.items()]
-    lines += [] if said.claims else ["  claims no ledger"]
-    if said.seed is not None:
-        lines.append(f"  keeps energy, {si(said.seed, 'J')} to begin with, granted again with every session")
+    lines = [f"  sends fwd {line.fwd}; bwd {line.bwd}"]
+    lines += [f"  claims {ledger} >= 0 {_condition(condition, line)}" for ledger, condition in line.claims.items()]
+    lines += [] if line.claims else ["  claims no ledger"]
+    if line.seed is not None:
+        lines.append(f"  keeps energy, {si(line.seed, 'J')} to begin with, granted again with every session")
     conditions = {}
     for where, link in LINKS:
-        found = unmet(load_scene("canonical", law=made, link=link, duration=2.0))
-        conditions[where] = found
-        lines += [f"  over {where}, in the scene canonical: {sentence}" for sentence in found]
-    return lines, {"sends": {"fwd": said.fwd, "bwd": said.bwd}, "claims": dict(said.claims),
-                   "seed_energy": said.seed, "conditions": conditions}
+        entry = unmet(load_scene("canonical", law=made, link=link, duration=2.0))
+        conditions[where] = entry
+        lines += [f"  over {where}, in the scene canonical: {sentence}" for sentence in entry]
+    return lines, {"sends": {"fwd": line.fwd, "bwd": line.bwd}, "claims": dict(line.claims),
+                   "seed_energy": line.seed, "conditions": conditions}

@@ -1,4 +1,4 @@
-"""What the commands share: the options that name a scene, and how a refusal leaves the process."""
+"""Options that the commands share: the scene, its axes and ranges, and how a refusal leaves the process."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ class Parser(ArgumentParser):
     """An argument parser that refuses in one sentence where argparse would print its usage and exit."""
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """What argparse does, but for what it says of an argument that the command does not take."""
-        found, extra = self.parse_known_args(args, namespace)
+        """Parse as argparse does, with a sentence on an argument that the command does not take."""
+        parsed, extra = self.parse_known_args(args, namespace)
         if extra:
-            self._refuse(extra[0], getattr(found, "do", None))
-        return found
+            self._refuse(extra[0], getattr(parsed, "do", None))
+        return parsed
 
     def _refuse(self, argument: str, command: str | None) -> NoReturn:
         """Say which other commands have an option that `command` has not, or which of its own is near."""
         commands = next((each.choices for each in self._actions if isinstance(each, _SubParsersAction)), {})
-        own = commands.get(command or "", self)
+        command_parser = commands.get(command or "", self)
         name = argument.partition("=")[0]
-        others = [other.prog for other in commands.values() if name in other._option_string_actions]
+        others = [another.prog for another in commands.values() if name in another._option_string_actions]
         if not name.startswith("-"):
-            why = f"{own.prog} does not take the argument {argument!r}"
+            why = f"{command_parser.prog} does not take the argument {argument!r}"
         elif others:
-            why = f"{own.prog} has no option {name}, an option of {enumerated(others)}"
+            why = f"{command_parser.prog} has no option {name}, an option of {enumerated(others)}"
         else:
-            options = own._option_string_actions
-            why = f"{own.prog} has no option {name}; {nearest(name, options.keys() - {'-h', '--help'})}"
+            options = command_parser._option_string_actions
+            why = f"{command_parser.prog} has no option {name}; {nearest(name, options.keys() - {'-h', '--help'})}"
             if name.startswith("--") and "--set" in options:
                 why += f" (a knob is given by --set {name[2:]}=VALUE)"
-        raise Refused(f"{why}; see {own.prog} --help")
+        raise Refused(f"{why}; see {command_parser.prog} --help")
 
     def error(self, message: str) -> NoReturn:
         raise Refused(f"{message}; see {self.prog} --help")
 
     def _check_value(self, action: Action, value: Any) -> None:
-        """What argparse asks of every value: here also that it is not empty."""
+        """Check a value as argparse does, and that it is not empty."""
         if action.choices is not None and value not in action.choices:
             what = str(action.metavar or (action.option_strings or [action.dest])[0]).lower()
             raise Refused(f"there is no {what} {value!r}; {nearest(value, action.choices)}")
@@ -203,7 +203,7 @@ _PORTS = (("f_m", "x_m"), ("f_s", "x_s"))
 
 
 def axes_of(trace: Mapping[str, Any]) -> int:
-    """How many axes a trace has."""
+    """Number of axes of a trace."""
     return max((column.shape[1] for name in ("x_m", "x_s") if name in trace
                 for column in [trace[name]] if column.ndim > 1), default=1)
 
@@ -218,7 +218,7 @@ def most_worked(trace: Mapping[str, Any], most: int) -> list[int]:
 
 
 def work_of(trace: Mapping[str, Any]) -> NDArray[np.float64]:
-    """What the stack's forces did along each of several axes at both ends, whatever its sign, summed up, J."""
+    """Work of the stack's forces along each of several axes at both ends, whatever its sign, summed up, J."""
     import numpy as np
 
     work = np.zeros(axes_of(trace))
@@ -242,10 +242,10 @@ def left_out(trace: Mapping[str, Any], shown: Sequence[int], labels: AxisLabels)
 def by_unit(unit: str, shown: Sequence[int], labels: AxisLabels, count: int) -> dict[str, list[int]]:
     """The axes that go on one scale, by their unit, of a quantity whose unit along a line is `unit`."""
     units = labels.in_units(count)
-    found: dict[str, list[int]] = {}
+    parsed: dict[str, list[int]] = {}
     for i in shown:
-        found.setdefault(unit_on(unit, units[i]), []).append(i)
-    return found
+        parsed.setdefault(unit_on(unit, units[i]), []).append(i)
+    return parsed
 
 
 def typed_number(option: str, text: str, *, example: str, above: float | None = None) -> float:
@@ -255,10 +255,10 @@ def typed_number(option: str, text: str, *, example: str, above: float | None = 
     0.001
     """
     try:
-        found = float(text)
+        parsed = float(text)
     except ValueError:
         raise Refused(f"{option} {text} is no number; write for example {option} {example}") from None
-    return number(option, found, above=above)
+    return number(option, parsed, above=above)
 
 
 def typed_range(option: str, text: str, *, example: str, what: str = "numbers", low: float = -inf, above: float = -inf

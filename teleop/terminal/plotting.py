@@ -39,12 +39,12 @@ WRITTEN: dict[Any, Any] = {"svg.hashsalt": "teleop",  # in place of random names
                            "pdf.fonttype": 42}  # letters stay letters, as publishers ask
 
 
-def asked_formats(args: Namespace, *, asked: bool = False) -> tuple[str, ...]:
+def asked_formats(args: Namespace, *, wanted: bool = False) -> tuple[str, ...]:
     """The formats in which a command is to draw, from --plot and --format; empty: it is to draw nothing.
 
-    `asked`: another of its options asks for a plot. Raises `Refused` without the extra, before anything is computed.
+    `wanted`: another of its options asks for a plot. Raises `Refused` without the extra, before anything is computed.
     """
-    if not (asked or any(vars(args).get(name) for name in ("plot", "format"))):
+    if not (wanted or any(vars(args).get(name) for name in ("plot", "format"))):
         return ()
     need_plot()
     return args.format or PNG
@@ -89,7 +89,7 @@ def save(figure: Figure, path: Path, formats: Sequence[str] = PNG) -> list[Path]
     No file is overwritten: of NAME, NAME-2, NAME-3, ... the first is taken where each of the files is not there yet, or
     is this very figure, to the byte. Raises `Refused` if a file cannot be written.
     """
-    drawn = {each: _drawn(figure, each) for each in formats}
+    drawn = {each: _draw(figure, each) for each in formats}
     for number in count(1):
         stem = path.name if number == 1 else f"{path.name}-{number}"
         files = {path.with_name(f"{stem}.{each}"): data for each, data in drawn.items()}
@@ -101,7 +101,7 @@ def save(figure: Figure, path: Path, formats: Sequence[str] = PNG) -> list[Path]
     return [*files]
 
 
-def _drawn(figure: Figure, kind: str) -> bytes:
+def _draw(figure: Figure, kind: str) -> bytes:
     """The file in memory: the same figure gives the same bytes."""
     from matplotlib import rc_context
 

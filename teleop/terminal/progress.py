@@ -22,7 +22,7 @@ BAR_FROM = 60  # columns; a bar in fewer would come and go with what stands behi
 
 
 class Progress:
-    """One line on `stream` that says how far something of size `total` has come.
+    """Progress on one line of `stream`, of something of size `total`.
 
     On a terminal the line is written over itself; elsewhere there is a plain line now and then, and none for
     what takes no longer. The safe state in its text is in a colour, where the terminal has any.
@@ -48,7 +48,7 @@ class Progress:
         if first < done < self._total:
             left = f"{duration((now_s - began) * (self._total - done) / (done - first))} left"
         ahead = f"{part:4.0%}"
-        self._line.write(part, *(_joined(ahead, left, text, more) for more in (*_shorter(less), "")),
+        self._line.write(part, *(_joined(ahead, left, text, later) for later in (*_shorter(less), "")),
                          *(_joined(ahead, shorter) for shorter in _shorter(text)))
 
     def end(self) -> None:
@@ -78,35 +78,35 @@ def shown_for(args: Namespace, total: float = 1.0) -> AbstractContextManager[Sho
 
 
 class RowsProgress:
-    """One line on `stream` that says how many of many rows are there, as `Progress` shows it.
+    """Progress in rows on one line of `stream`, as `Progress` shows it.
 
     Rows that were there at the first call took no time now. The rate and the time left are those of the rows after the
     first that come: before these come what is compiled, processes that start and files that are read.
     """
 
-    __slots__ = ("_before", "_came", "_line")
+    __slots__ = ("_before", "_line", "_progress_times")
 
     def __init__(self, stream: TextIO) -> None:
         self._line = _StatusLine(stream)
         self._before: int | None = None  # rows that were there at the first call
-        self._came: deque[tuple[int, float]] = deque()  # how many were there when, of the last seconds
+        self._progress_times: deque[tuple[int, float]] = deque()  # how many were there when, of the last seconds
 
     def show(self, done: int, total: int, now_s: float) -> None:
         """`done` of `total` rows are there at `now_s` (s, of any clock that does not go back)."""
         if self._before is None:
             self._before = done
-        came = self._came
+        progress_times = self._progress_times
         if done > self._before:
-            came.append((done, now_s))
-        while len(came) > 2 and came[1][1] <= now_s - RATE_OVER:
-            came.popleft()
+            progress_times.append((done, now_s))
+        while len(progress_times) > 2 and progress_times[1][1] <= now_s - RATE_OVER:
+            progress_times.popleft()
         if not self._line.is_due(now_s, done >= total):
             return
         count, rate, left = f"{grouped(done)} of {grouped(total)}", "", ""
         if done == self._before:
             rate = "starting" if done < total else ""
-        elif done > came[0][0] and now_s - came[0][1] >= RATE_AFTER:
-            a_second = (done - came[0][0]) / (now_s - came[0][1])
+        elif done > progress_times[0][0] and now_s - progress_times[0][1] >= RATE_AFTER:
+            a_second = (done - progress_times[0][0]) / (now_s - progress_times[0][1])
             rate = f"{two_digits(a_second)} rows/s"
             left = f"{duration((total - done) / a_second)} left" if done < total else ""
         rows = f"{count} {plural(total, 'row')}"

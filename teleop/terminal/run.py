@@ -1,4 +1,4 @@
-"""What `teleop run` does, and what every command says of a run."""
+"""The commands `teleop run` and `teleop show`, and the answer of every command on a run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from teleop.terminal.run_table import table
 PLOT = "plot"  # and the suffix of its format
 
 
-def command(args: Namespace, other: Callable[..., Result] | None = None) -> Answer:
+def command(args: Namespace, runner: Callable[..., Result] | None = None) -> Answer:
     """Run the scene in virtual time and leave its folder. Raises `Refused`. `other`: what runs it in place of `run`."""
     scene = load_scene(args.scene, **knobs_from(args), **({} if args.hand is None else {"hand": args.hand}))
     formats: Sequence[str] = ()
@@ -29,14 +29,14 @@ def command(args: Namespace, other: Callable[..., Result] | None = None) -> Answ
 
         formats = asked_formats(args)
     with new_folder(args.out, stem(args.scene)) as new:  # before the run: a folder that cannot be written is found now
-        result = (other or run)(scene, seed=args.seed, clock=args.nanoseconds, bodies=args.bodies)
+        result = (runner or run)(scene, seed=args.seed, clock=args.nanoseconds, bodies=args.bodies)
         result.write(new.inside, args.typed)
     result = replace(result, path=new.path)
     return with_plot(answer_of(result, args.typed), result, new.path, formats)
 
 
 def answer_of(result: Result, typed: Sequence[str]) -> Answer:
-    """What is said of a run; of a live one that goes on, that nothing is written yet."""
+    """Answer on a run; of a live one that goes on it says that nothing is written yet."""
     answer = Answer(table(result), {**result.summary(typed), "path": str(result.path)})
     if result.status == RUNNING:
         return answer._replace(text=f"{answer.text}\nnothing is written while it runs")

@@ -30,7 +30,7 @@ LINES = ("-", "--", ":")  # of the axes that share a panel
 
 
 class TraceCurve(NamedTuple):
-    """How a column of the trace is drawn."""
+    """Curve of a column of the trace."""
 
     name: str
     label: str
@@ -38,7 +38,7 @@ class TraceCurve(NamedTuple):
 
 
 class TracePanel(NamedTuple):
-    """One pair of axes: its quantity, its SI unit and its curves. The last curve is narrow and lies over the others."""
+    """Panel of a plot: its quantity, its SI unit and its curves. The last curve is narrow and lies over the others."""
 
     quantity: str
     unit: str
@@ -72,8 +72,8 @@ def draw(result: Result, path: Path, formats: Sequence[str] = PNG) -> list[Path]
     panels = [panel for panel in PANELS if any(curve.name in result.trace for curve in panel.curves)]
     apart = axes_of(result.trace) > TOGETHER
     shown = most_worked(result.trace, APART if apart else TOGETHER)
-    said = [heading(result), verdict(result), left_out(result.trace, shown, result.labels)]
-    title = "\n".join(fill(literal(text), 115) for text in said if text)
+    heads = [heading(result), verdict(result), left_out(result.trace, shown, result.labels)]
+    title = "\n".join(fill(literal(text), 115) for text in heads if text)
     figure = (_apart if apart else _together)(result, panels, shown, title)
     return save(figure, path, formats)
 
@@ -85,9 +85,10 @@ def _together(result: Result, panels: Sequence[TracePanel], shown: Sequence[int]
             for unit, axes in by_unit(panel.unit, shown, result.labels, count).items()]
     figure = new_figure((9.5, 2.0 * len(rows) + 0.9), title)
     every = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (panel, own) in zip(every, rows, strict=True):
-        told = _fill(axes, panel, result, own)
-        axes.legend(*zip(*told, strict=True), loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
+    for axes, (panel, drawn) in zip(every, rows, strict=True):
+        handles = _fill(axes, panel, result, drawn)
+        axes.legend(*zip(*handles, strict=True), loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False,
+                    fontsize=9)
     _time(every[-1], result)
     figure.align_ylabels()
     return figure
@@ -103,15 +104,15 @@ def _apart(result: Result, panels: Sequence[TracePanel], shown: Sequence[int], t
         of_axes = any(result.trace[curve.name].ndim > 1 for curve in panel.curves if curve.name in result.trace)
         for column, i in enumerate(shown if of_axes else shown[:1]):
             axes = figure.add_subplot(grid[row, column] if of_axes else grid[row, :])
-            own = panel._replace(unit=unit_on(panel.unit, units[i]))
-            told = _fill(axes, own, result, [i], named=False)
+            drawn = panel._replace(unit=unit_on(panel.unit, units[i]))
+            handles = _fill(axes, drawn, result, [i], named=False)
             axes.tick_params(labelsize=8)
             if row == 0:
                 axes.set_title(names[i], fontsize=10)
             if of_axes and column:
                 axes.set_ylabel(axes.get_ylabel().partition(" (")[2].rstrip(")"), fontsize=8)
             if column == len(shown) - 1 or not of_axes:
-                axes.legend(*zip(*told, strict=True), loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False,
+                axes.legend(*zip(*handles, strict=True), loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False,
                             fontsize=8)
             if row == len(panels) - 1:
                 _time(axes, result)
@@ -133,7 +134,7 @@ def _fill(axes: Axes, panel: TracePanel, result: Result, shown: Sequence[int], *
     has = [curve for curve in panel.curves if curve.name in trace]
     drawn = {curve.name: [*axis_curves(trace[curve.name], shown, result.labels)] for curve in has}
     thousands = _thousands([values for several in drawn.values() for _, _, values in several])
-    told: list[tuple[Any, str]] = []
+    handles: list[tuple[Any, str]] = []
     for curve in has:
         lines: list[tuple[Any, str]] = []
         under = UNDER if curve is not has[-1] else {"linewidth": 1.2}
@@ -150,10 +151,10 @@ def _fill(axes: Axes, panel: TracePanel, result: Result, shown: Sequence[int], *
                 (mean,) = axes.plot(bins.t, bins.mean, **shape)
                 band = axes.fill_between(bins.t, bins.least, bins.greatest, color=curve.colour, alpha=0.22, linewidth=0)
                 lines.append(((band, mean), f"{label}:\nmean and range over {1e3 * dt * bins.ticks:g} ms"))
-        told = [*lines, *told]
+        handles = [*lines, *handles]
     axes.set_ylabel(f"{panel.quantity} ({PREFIX[thousands]}{panel.unit})")
     grid_lines(axes)
-    return told
+    return handles
 
 
 def axis_curves(column: NDArray[Any], shown: Sequence[int], labels: AxisLabels

@@ -53,23 +53,23 @@ def _error(key: str, unit: str) -> Callable[[Result], Iterator[str]]:
     def tell(result: Result) -> Iterator[str]:
         got = result.metrics
         if {f"{key}_rms", f"{key}_max"} <= got.keys():
-            own = result.labels.unit(unit)
-            over = "" if own else f", {MIXED}"
-            yield f"{si(got[f'{key}_rms'], own)} rms, {si(got[f'{key}_max'], own)} max{over}"
+            unit_of_axes = result.labels.unit(unit)
+            over = "" if unit_of_axes else f", {MIXED}"
+            yield f"{si(got[f'{key}_rms'], unit_of_axes)} rms, {si(got[f'{key}_max'], unit_of_axes)} max{over}"
 
     return tell
 
 
 def _force(result: Result) -> Iterator[str]:
     unit = result.labels.unit("N")
-    said = [f"{si(result.metrics[name], unit)} {word}"
+    words = [f"{si(result.metrics[name], unit)} {word}"
             for name, word in (("f_m_end", "felt"), ("f_env_end", "touched")) if name in result.metrics]
-    if said:
-        yield ", ".join(said) + ", mean over the last 0.1 s" + ("" if unit else f", {MIXED}")
+    if words:
+        yield ", ".join(words) + ", mean over the last 0.1 s" + ("" if unit else f", {MIXED}")
 
 
-def _felt(result: Result) -> Iterator[str]:
-    """What the hand feels of a free slave, beside the master itself, and of what the slave presses."""
+def _perceived(result: Result) -> Iterator[str]:
+    """Perceived inertia and drag of a free slave, beside the master itself, and perceived stiffness of a contact."""
     got, unit = result.metrics, result.labels.unit
     if "felt_fit" in got and result.ticks * result.dt >= _LEAST_MOTION:
         yield (f"in free space {got['felt_mass']:.3g} {unit('kg')} and {got['felt_drag']:.3g} "
@@ -84,10 +84,10 @@ def _felt(result: Result) -> Iterator[str]:
 def _energy(key: str) -> Callable[[Result], Iterator[str]]:
     def tell(result: Result) -> Iterator[str]:
         # A run that diverges may end with a sum that is not finite, and then has no metric of its end.
-        said = [f"{si(result.metrics[name], 'J')} {word}"
+        words = [f"{si(result.metrics[name], 'J')} {word}"
                 for name, word in ((f"{key}_min", "smallest"), (f"{key}_end", "at the end")) if name in result.metrics]
-        if said:
-            yield ", ".join(said)
+        if words:
+            yield ", ".join(words)
 
     return tell
 
@@ -124,14 +124,14 @@ def _packets(result: Result) -> Iterator[str]:
 
 
 def _counts(packets: Packets) -> str:
-    said = [f"{packets.sent} sent"] * (packets.sent > 0) + [f"{packets.received} received"]
+    words = [f"{packets.sent} sent"] * (packets.sent > 0) + [f"{packets.received} received"]
     if packets.saved:
-        said.insert(1, f"{packets.saved} saved")
+        words.insert(1, f"{packets.saved} saved")
     for key, word in _COUNTS:
         count = getattr(packets, key)
-        said += [f"{count} {word}"] * (count > 0 or key in ("lost", "late"))
-    said += [f"{count} rejected ({cause})" for cause, count in packets.rejected.items() if count]
-    return ", ".join(said)
+        words += [f"{count} {word}"] * (count > 0 or key in ("lost", "late"))
+    words += [f"{count} rejected ({cause})" for cause, count in packets.rejected.items() if count]
+    return ", ".join(words)
 
 
 def _watchdog(result: Result) -> Iterator[str]:
@@ -144,58 +144,59 @@ def _watchdog(result: Result) -> Iterator[str]:
 def _link(result: Result) -> Iterator[str]:
     # An end does not know what the other end's deadband did not send, but that there is one.
     missing = "missing or not sent" if any(each.saved for each in result.packets.values()) else "missing"
-    for end, own in _live_ends(result):
-        rtt, clock = own.get("rtt"), own.get("peer_clock") or {}
+    for end, report in _live_ends(result):
+        rtt, clock = report.get("rtt"), report.get("peer_clock") or {}
         if not rtt:
             continue
-        text = f"{end}: round trip {si(rtt['mean'], 's')}, jitter {si(own['jitter'], 's')}, {own['lost']} {missing}, "
-        text += f"{own['reordered']} out of order"
+        text = f"{end}: round trip {si(rtt['mean'], 's')}, jitter {si(report['jitter'], 's')}, "
+        text += f"{report['lost']} {missing}, {report['reordered']} out of order"
         drift = clock.get("drift")
         yield text + ("" if drift is None else f"; the peer's clock goes {drift * 1e6:+.0f} ppm")
 
 
 def _safe(result: Result) -> Iterator[str]:
-    for end, own in _live_ends(result):
-        told = [event for event in own.get("events") or () if event.get("what") in ("safe", "joined")]
-        for event in told[:_MOST_EVENTS]:
+    for end, report in _live_ends(result):
+        events = [event for event in report.get("events") or () if event.get("what") in ("safe", "joined")]
+        for event in events[:_MOST_EVENTS]:
             yield f"{end}: {event['what']} at t = {event['k'] * result.dt:.3f} s, {event['why']}"
-        if (more := len(told) - _MOST_EVENTS) > 0:
-            yield f"{end}: and {number_of(more, 'time')} more, see its events.jsonl"
+        if (hidden := len(events) - _MOST_EVENTS) > 0:
+            yield f"{end}: and {number_of(hidden, 'time')} more, see its events.jsonl"
 
 
 def _late_ticks(result: Result) -> Iterator[str]:
-    for end, own in _live_ends(result):
-        late = own.get("late_us") or {}
-        text = f"{end}: {own.get('skipped', 0)} skipped"
+    for end, report in _live_ends(result):
+        late = report.get("late_us") or {}
+        text = f"{end}: {report.get('skipped', 0)} skipped"
         yield text + "".join(f", {word} {si(late[q] * 1e-6, 's')} late" for word, q in _LATE if q in late)
 
 
 def _scheduling(result: Result) -> Iterator[str]:
-    """What the system gave each live end of real-time scheduling; once, where both have the same.
+    """Real-time scheduling that the system gave each live end; once, where both have the same.
 
     Of an end that left no summary it is not known.
     """
-    told = {end: ", ".join(f"{name} {what}" for name, what in own["realtime"].items()) if own.get("realtime") else
-            "ordinary scheduling, real-time scheduling was not asked for" for end, own in _live_ends(result)
-            if "realtime" in own or "made from its record" not in str(own.get("sentence"))}
-    if len({*told.values()}) == 1 and len(told) > 1:
-        yield f"both ends: {next(iter(told.values()))}"
+    scheduling = {end: ", ".join(f"{name} {what}" for name, what in report["realtime"].items())
+            if report.get("realtime") else "ordinary scheduling, real-time scheduling was not asked for"
+            for end, report in _live_ends(result)
+            if "realtime" in report or "made from its record" not in str(report.get("sentence"))}
+    if len({*scheduling.values()}) == 1 and len(scheduling) > 1:
+        yield f"both ends: {next(iter(scheduling.values()))}"
     else:
-        yield from (f"{end}: {text}" for end, text in told.items())
+        yield from (f"{end}: {text}" for end, text in scheduling.items())
 
 
 def _integration(result: Result) -> Iterator[str]:
     unit = result.labels.unit("m") or "m or rad"
-    for end, own in dict(result.extra.get("integration") or {}).items():  # type: ignore[call-overload]  # a mapping
-        text = f"{end}: error estimated at {si(float(own['error_estimate_max']), unit)} a tick"
-        text += f" ({si(float(own['error_estimate_sum']), unit)} added up), "
-        text += f"up to {number_of(own['substeps_max'], 'sub-step')}"
-        over = own["ticks_over_tolerance"]
-        yield text + (f"; {number_of(over, 'tick')} above {si(own['tolerance'], unit)}" if over else "")
+    for end, report in dict(result.extra.get("integration") or {}).items():  # type: ignore[call-overload]  # a mapping
+        text = f"{end}: error estimated at {si(float(report['error_estimate_max']), unit)} a tick"
+        text += f" ({si(float(report['error_estimate_sum']), unit)} added up), "
+        text += f"up to {number_of(report['substeps_max'], 'sub-step')}"
+        over = report["ticks_over_tolerance"]
+        yield text + (f"; {number_of(over, 'tick')} above {si(report['tolerance'], unit)}" if over else "")
 
 
 def _per_tick(result: Result) -> Iterator[str]:
-    ends = [f"{si(own['cpu'] * result.dt, 's')} {end}" for end, own in _live_ends(result) if own.get("cpu")]
+    ends = [f"{si(report['cpu'] * result.dt, 's')} {end}" for end, report in _live_ends(result) if report.get("cpu")]
     if ends:
         yield ", ".join(ends) + " of processor time"
     elif result.run_time and result.ticks and (each := result.run_time / result.ticks) > 0.0:
@@ -203,11 +204,11 @@ def _per_tick(result: Result) -> Iterator[str]:
 
 
 def _live_ends(result: Result) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """What each end of a live run said of its own ticks; in lockstep there is nothing to be late for."""
+    """Reports of the ends of a live run on their own ticks; in lockstep there is nothing to be late for."""
     for end in ("master", "slave"):
-        own = result.extra.get(end)
-        if result.mode == "live" and isinstance(own, Mapping):
-            yield end, own
+        report = result.extra.get(end)
+        if result.mode == "live" and isinstance(report, Mapping):
+            yield end, report
 
 
 _LEAST_MOTION = 1.0  # s: of a shorter run mass and drag are those of its first transients
@@ -219,7 +220,7 @@ _ROWS: tuple[tuple[str, Callable[[Result], Iterator[str]]], ...] = (
     ("angle error", _error("angle_err", "rad")),
     ("force error", _error("f_err", "N")),
     ("force at the end", _force),
-    ("felt", _felt),
+    ("felt", _perceived),
     ("delay seen", _delay),
     ("queue", _queue),
     ("packets", _packets),

@@ -29,7 +29,7 @@ _SECTION = re.compile(r"\w[\w ,]*")  # a line over others that are set in by two
 _SAFE = re.compile(r"(?:master |slave )?SAFE [^ ]+ .+?(?=  |$)")
 
 
-def shown(text: str, stream: TextIO) -> str:
+def render(text: str, stream: TextIO) -> str:
     """The text of an answer as it is printed on `stream`."""
     width = columns(stream) if stream.isatty() else 0
     return answer(folded(text, width) if width else text, stream)
@@ -64,7 +64,7 @@ def answer(text: str, stream: TextIO) -> str:
 
 def live_line(text: str, stream: TextIO) -> str:
     """A line of progress, with the safe state in a colour where `stream` has colours."""
-    return _SAFE.sub(lambda found: _in(BAD, found[0]), text) if has_colours(stream) else text
+    return _SAFE.sub(lambda part: _in(BAD, part[0]), text) if has_colours(stream) else text
 
 
 def _line(line: str, after: str, *, first: bool) -> str:
@@ -74,7 +74,7 @@ def _line(line: str, after: str, *, first: bool) -> str:
         return line[:label.end()] + _in(BOLD, line[label.end():])
     if (label := _LABEL.match(line)) is not None:
         return _in(NOTICE, label[0]) + line[label.end():]
-    return _STATUS.sub(lambda found: _in(_OF[found[0]], found[0]), line)
+    return _STATUS.sub(lambda part: _in(_OF[part[0]], part[0]), line)
 
 
 def _in(colour: str, text: str) -> str:

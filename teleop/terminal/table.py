@@ -31,9 +31,9 @@ def facts(rows: Iterable[tuple[str, str]]) -> str:
     run      hard_wall, law wave
     status   ok
     """
-    told = list(rows)
-    width = max((len(label) for label, _ in told), default=0)
-    return "\n".join(f"{label:<{width}}   {printable(text)}".rstrip() for label, text in told)
+    table_lines = list(rows)
+    width = max((len(label) for label, _ in table_lines), default=0)
+    return "\n".join(f"{label:<{width}}   {printable(text)}".rstrip() for label, text in table_lines)
 
 
 _LABEL = re.compile(r"\S+(?: \S+)* {3,}")
@@ -55,11 +55,11 @@ def folded(text: str, width: int) -> str:
         return text
     out: list[str] = []
     for n, line in enumerate(lines):
-        name, said = line[:at], line[at:]
-        if not said or said[0] == " " or name[-3:] != "   " or "  " in name.rstrip():
+        name, words = line[:at], line[at:]
+        if not words or words[0] == " " or name[-3:] != "   " or "  " in name.rstrip():
             return "\n".join([*out, *lines[n:]])
-        short = len(line) <= width or _TYPED.search(said) is not None
-        out += [line] if short else textwrap.wrap(said, width, initial_indent=name, subsequent_indent=" " * at,
+        short = len(line) <= width or _TYPED.search(words) is not None
+        out += [line] if short else textwrap.wrap(words, width, initial_indent=name, subsequent_indent=" " * at,
                                                   break_long_words=False, break_on_hyphens=False)
     return "\n".join(out)
 
@@ -71,12 +71,12 @@ def columns(lines: Iterable[Sequence[str]], *, left: Collection[int] = (0,)) -> 
     block   rows
     delays    12
     """
-    told = [*lines]
-    widths = [max(map(len, cells)) for cells in zip(*told, strict=True)]
+    table_lines = [*lines]
+    widths = [max(map(len, cells)) for cells in zip(*table_lines, strict=True)]
     return "\n".join(
         "  ".join(cell.ljust(width) if i in left else cell.rjust(width)
                   for i, (cell, width) in enumerate(zip(line, widths, strict=True))).rstrip()
-        for line in told)
+        for line in table_lines)
 
 
 PREFIX = {-3: "n", -2: "u", -1: "m", 0: "", 1: "k", 2: "M", 3: "G"}  # u: a terminal may know ASCII only

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import sys
-import types
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
@@ -114,12 +113,12 @@ class TestShow:
     def test_prints_the_loop_of_a_scene_as_python_that_compiles(self, typed: Typed) -> None:
         out = typed("show", "tick", "hard_wall").out
         compile(out, "shown", "exec")
-        assert out.startswith("def loop(given, law, dt, count")
+        assert out.startswith("def loop(numbers, law, dt, count")
         assert "f_cmd_m0 = cap(c_cap_m[0], f_cmd_m0, f_held_m)" in out
 
     def test_or_one_live_end_with_a_knob_turned(self, typed: Typed) -> None:
         out = typed("show", "tick", "hard_wall", "--set", "law=pfra", "--end", "m").out
-        assert out.startswith("def live(given, law, dt")
+        assert out.startswith("def live(numbers, law, dt")
         assert "observe(" in out
 
     def test_refuses_a_live_end_of_a_scene_that_has_none(self, typed: Typed) -> None:
@@ -180,7 +179,7 @@ class TestDemo:
             folder = claim(rest["out"], rest["stem"]).path
             return replace(run(load_scene(scene_name, duration=0.05)), mode="lockstep", path=folder)
 
-        monkeypatch.setitem(sys.modules, "teleop.live.demo", types.SimpleNamespace(demo=demo))
+        monkeypatch.setattr("teleop.live.demo.demo", demo)
         answer = typed("demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep", "--robot",
                        "csv:a.csv")
         assert answer.code == 0

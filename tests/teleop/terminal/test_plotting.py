@@ -37,7 +37,7 @@ class TestFormats:
     def test_of_nothing_asked_for_there_is_none_and_left_out_it_is_png(self) -> None:
         assert asked_formats(Namespace(plot=False, format=None)) == ()
         assert asked_formats(Namespace(plot=True, format=None)) == ("png",)
-        assert asked_formats(Namespace(plot=False, format=None), asked=True) == ("png",)
+        assert asked_formats(Namespace(plot=False, format=None), wanted=True) == ("png",)
         assert asked_formats(Namespace(plot=False, format=("svg",))) == ("svg",)
 
     def test_each_is_a_file_of_its_kind_and_the_same_figure_gives_the_same_bytes(self, tmp_path: Path) -> None:

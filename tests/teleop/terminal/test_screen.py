@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.terminal.screen import columns, shown
+from teleop.terminal.screen import columns, render
 from teleop.terminal.table import facts, folded
 
 WORDS = "so a wave takes 51.8 ms fwd, 51.8 ms bwd, delay and queue, of which the first"
@@ -58,7 +58,7 @@ class TestOnATerminal:
     def test_an_answer_is_folded_at_its_width(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("NO_COLOR", "1")
         monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((60, 24)))
-        lines = shown(facts([("run", "hard_wall"), ("queue", WORDS)]), Terminal()).split("\n")
+        lines = render(facts([("run", "hard_wall"), ("queue", WORDS)]), Terminal()).split("\n")
         assert len(lines) == 3
         assert max(map(len, lines)) <= 60
 
@@ -66,10 +66,10 @@ class TestOnATerminal:
         monkeypatch.setenv("NO_COLOR", "1")
         monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((0, 0)))
         table = facts([("run", "hard_wall"), ("queue", WORDS)])
-        assert shown(table, Terminal()) == table
+        assert render(table, Terminal()) == table
         assert columns(io.StringIO()) == 0
 
     def test_in_a_file_it_is_as_it_is(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((60, 24)))
         table = facts([("run", "hard_wall"), ("queue", WORDS)])
-        assert shown(table, io.StringIO()) == table
+        assert render(table, io.StringIO()) == table
