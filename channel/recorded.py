@@ -18,9 +18,9 @@ from channel.schedule import by_time, nanoseconds
 from teleop.errors import Refused
 from teleop.knob import Knob
 from teleop.live.records.end_result import NAMES
-from teleop.live.records.inputs import ARRIVALS, Arrivals, read_arrivals
+from teleop.live.records.inputs import ARRIVALS, ArrivalTable, read_arrivals
 from teleop.live.records.reader import FILE, read_record
-from teleop.live.records.record import never_met
+from teleop.live.records.record import are_strangers
 from teleop.simulation.trace import far_apart
 from teleop.storage.folder import is_being_written
 
@@ -168,7 +168,8 @@ def _read(master: Path, slave: Path, stamps: tuple[tuple[int, ...], ...]  # noqa
             raise Refused(f"{folder} holds no ticks with the arrivals beside them; give the folder as the end wrote it")
         if far_apart(record.ticks):
             raise Refused(f"the ticks in {folder} lie too far apart for a link; give the folder of a run that ran on")
-    if any(headers["m"][key] != headers["s"][key] for key in ("scene", "knobs", "dt_ns")) or never_met(master, slave):
+    same = all(headers["m"][key] == headers["s"][key] for key in ("scene", "knobs", "dt_ns"))
+    if not same or are_strangers(master, slave):
         raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
     dt_ns, every = headers["m"]["dt_ns"], {e: header.get("every", 1) for e, header in headers.items()}
     last = int(max(ticks["m"][-1], ticks["s"][-1]))  # an end that was over sooner skips all that follow
@@ -184,10 +185,10 @@ def _ran(dt_ns: int, every: int, ticks: Ints, last: int) -> Ticks:
     return Ticks(every * dt_ns, ran)
 
 
-def way(dt_ns: int, every: int, last: int, took: Ints, arrivals: Arrivals) -> Way:
+def way(dt_ns: int, every: int, last: int, took: Ints, arrivals: ArrivalTable) -> Way:
     """Make one direction of a run whose last tick was `last`, from the receiver's ticks (n,) and its arrivals.
 
-    What became of the last messages is not known: none arrivals of those sent within the longest delay before the
+    What became of the last messages is not known: none came of those sent within the longest delay before the
     receiver's end. They have the fate of the first ones of the run, but come no sooner than behind that end.
     """
     span_ns, spans = every * dt_ns, last // every + 1

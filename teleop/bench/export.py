@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 
 from teleop.export.files import write_csv, write_mcap
 from teleop.export.stored import read_parts
-from teleop.export.stream import ROWS, Encoder, GrowingEnd, GrowingRun
+from teleop.export.stream import ROWS, GrowingEnd, GrowingRun, RowEncoder
 from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]
@@ -54,7 +54,7 @@ def export(rounds: int) -> list[Row]:
 
 def _row(folder: Path) -> float:
     """Time for a row of the demo, us, without the pauses between datagrams."""
-    run, encoders, rows, spent = GrowingRun(folder), dict[GrowingEnd, Encoder](), 0, 0.0
+    run, encoders, rows, spent = GrowingRun(folder), dict[GrowingEnd, RowEncoder](), 0, 0.0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there, \
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         there.bind(("127.0.0.1", 0))
@@ -62,7 +62,7 @@ def _row(folder: Path) -> float:
         while not run.over:
             began = time.process_time()
             for some in run.take(ROWS):
-                encoder = encoders.get(some.end) or encoders.setdefault(some.end, Encoder(some.end))
+                encoder = encoders.get(some.end) or encoders.setdefault(some.end, RowEncoder(some.end))
                 for data in encoder.datagrams(some):
                     sock.send(data)
                 rows += len(some.rows)

@@ -42,51 +42,51 @@ def kernels() -> Path:
     return folder()
 
 
-def kept(folder: Path) -> list[Path]:
-    """Files of compiled kernels in the folder, those of numba among them."""
+def kernel_files(folder: Path) -> list[Path]:
+    """Files of compiled kernels in the folder, numba's among them."""
     return [path for path in folder.rglob("teleop_kernel_*") if path.is_file()] if folder.is_dir() else []
 
 
 def clear() -> int:
     """Remove every compiled kernel, and nothing else; returns how many there were."""
-    held = kept(kernels())
+    held = kernel_files(kernels())
     for path in held:
         path.unlink(missing_ok=True)
     return sum(path.suffix == ".py" for path in held)
 
 
-def others(folders: Iterable[str] | None = None) -> list[str]:
+def other_packages(folders: Iterable[str] | None = None) -> list[str]:
     """Other packages called `teleop` that Python could import: distributions by name, and places on `folders`.
 
     `folders`: where Python looks; left out: `sys.path`.
     """
     from teleop.scene.library import ROOT
 
-    told = [name for name in dict.fromkeys(packages_distributions().get("teleop", ())) if name != DISTRIBUTION]
+    names = [name for name in dict.fromkeys(packages_distributions().get("teleop", ())) if name != DISTRIBUTION]
     for folder in dict.fromkeys(sys.path if folders is None else folders):
         package = Path(folder or ".") / "teleop"
         for place, file in ((package, package / "__init__.py"), (package.with_suffix(".py"),) * 2):
             if file.is_file() and place.resolve() != ROOT / "teleop":
-                told.append(str(place))
-    return told
+                names.append(str(place))
+    return names
 
 
-def clash(found: list[str]) -> Finding:
-    """What `others` comes to."""
-    if not found:
+def judge_name(packages: list[str]) -> Finding:
+    """Finding on other packages called `teleop`, as `other_packages` lists them."""
+    if not packages:
         return Finding("name", True, "no other package called teleop is in the way")
     return Finding(
-        "name", False, f"another package called teleop is here too, {enumerated(found)}, and Python may import it in "
-        "place of this one",
+        "name", False, f"another package called teleop is here too, {enumerated(packages)}, and Python may import it "
+        "in place of this one",
         f"type  python3 -m venv own && own/bin/pip install {DISTRIBUTION}  for an environment of its own")
 
 
 def command(args: Namespace) -> Answer:
-    """The findings; with --clear the kernels are removed first."""
+    """Answer with the findings; with --clear the kernels are removed first."""
     removed = clear() if args.clear else 0
-    found = findings()
-    said = f"{number_of(removed, 'kernel')} removed\n{text(found)}" if args.clear else text(found)
-    return Answer(said, {**found, "removed": removed})
+    report = findings()
+    answer = f"{number_of(removed, 'kernel')} removed\n{text(report)}" if args.clear else text(report)
+    return Answer(answer, {**report, "removed": removed})
 
 
 def findings() -> dict[str, Any]:
@@ -95,35 +95,36 @@ def findings() -> dict[str, Any]:
     from teleop.version import __version__
 
     folder = kernels()
-    held = kept(folder)
-    told, found = machine.measured(), machine.governors()
-    rights = machine.realtime(told)
-    clashes = others()
-    live = machine.judged(told, rights)
+    files = kernel_files(folder)
+    measured, governors = machine.measure(), machine.governors()
+    rights = machine.realtime(measured)
+    clashes = other_packages()
+    live = machine.judge(measured, rights)
     late = any(one.name == "timer" and not one.good for one in live)
-    judged = [clash(clashes), *live, machine.governor(found, not late)]
+    judged = [judge_name(clashes), *live, machine.governor(governors, not late)]
     return {
         "bilateral-teleop": __version__, "python": sys.version.split()[0], "platform": sys.platform,
         "packages": packages(),
-        "kernels": {"folder": str(folder), "modules": sum(path.suffix == ".py" for path in held),
-                    "bytes": sum(path.stat().st_size for path in held),
+        "kernels": {"folder": str(folder), "modules": sum(path.suffix == ".py" for path in files),
+                    "bytes": sum(path.stat().st_size for path in files),
                     "not_kept": open_to_others(folder) if folder.exists() else None},
-        "realtime": rights, "measured": told, "others": clashes, "governors": found, "rmem_max": machine.rmem_max(),
+        "realtime": rights, "measured": measured, "others": clashes, "governors": governors,
+        "rmem_max": machine.rmem_max(),
         "findings": [one._asdict() for one in judged],
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(report: dict[str, Any]) -> str:
     """Text of the findings, a line each, and below what is not good what to type."""
-    rows = [("bilateral-teleop", f"{found['bilateral-teleop']}, Python {found['python']} on {found['platform']}")]
-    for name, there in found["packages"].items():
+    rows = [("bilateral-teleop", f"{report['bilateral-teleop']}, Python {report['python']} on {report['platform']}")]
+    for name, installed in report["packages"].items():
         extra = EXTRAS.get(name)
         cure = "not installed" + (f": pip install 'bilateral-teleop[{extra}]'" if extra else "")
-        rows.append((name, there or cure))
-    held = found["kernels"]
-    rows.append(("kernels", f"{held['modules']} compiled, {held['bytes'] / 1e6:.3g} MB in {held['folder']}; "
+        rows.append((name, installed or cure))
+    kernels = report["kernels"]
+    rows.append(("kernels", f"{kernels['modules']} compiled, {kernels['bytes'] / 1e6:.3g} MB in {kernels['folder']}; "
                  "teleop doctor --clear removes them"))
-    if held["not_kept"]:
-        rows.append(("", f"they are not made use of: {held['not_kept']}"))
-    rows += [row for one in found["findings"] for row in Finding(**one).rows]
+    if kernels["not_kept"]:
+        rows.append(("", f"they are not made use of: {kernels['not_kept']}"))
+    rows += [row for one in report["findings"] for row in Finding(**one).rows]
     return facts(rows)

@@ -45,7 +45,7 @@ class _Ticks:
                 self.over.set()
 
 
-async def timer(told: dict[str, Any]) -> None:
+async def timer(report: dict[str, Any]) -> None:
     """Tell how late the ticks of a second are, us; `left_out`: those that never ran, as the next was due by then."""
     ticks = _Ticks(time.monotonic_ns() + 5 * DT_NS, asyncio.Event())
     alarm = Alarm(asyncio.get_running_loop(), ticks.wake)
@@ -56,38 +56,38 @@ async def timer(told: dict[str, Any]) -> None:
     finally:
         alarm.close()
     spread = spread_us(lateness(ticks.ran, ticks.late, DT_NS))
-    told |= {"ticks": ticks.ran[-1] + 1, "left_out": ticks.ran[-1] + 1 - len(ticks.ran), "late_us": spread,
+    report |= {"ticks": ticks.ran[-1] + 1, "left_out": ticks.ran[-1] + 1 - len(ticks.ran), "late_us": spread,
              "precise": precise}
 
 
 def loopback() -> dict[str, Any]:
     """Round trips between two sockets of this process (us), how many were lost, and what the receive buffer holds."""
-    here, there = _wire(), _wire()
+    wire, peer = _wire(), _wire()
     try:
-        here.peer, there.peer = there.sock.getsockname(), here.sock.getsockname()
+        wire.peer, peer.peer = peer.sock.getsockname(), wire.sock.getsockname()
         data, trips, lost = bytes(SIZE), [], 0
         for _ in range(TRIPS):
             began = time.monotonic_ns()
-            here.send(data)
-            if _come(there, began):
-                there.send(data)
-            if _come(here, began):
+            wire.send(data)
+            if _arrives(peer, began):
+                peer.send(data)
+            if _arrives(wire, began):
                 trips.append(float(time.monotonic_ns() - began))
             else:
                 lost += 1
-        here.send(data)
-        stamps = any(kind == STAMP for _, kind, _ in _notes(there.sock))
+        wire.send(data)
+        stamps = any(kind == STAMP for _, kind, _ in _ancillary_data(peer.sock))
         for _ in range(MOST):
-            here.send(data)
+            wire.send(data)
         held = 0
-        while there.receive() is not None:
+        while peer.receive() is not None:
             held += 1
         return {"sent": TRIPS, "lost": lost, "round_trip_us": spread_us(trips), "stamps": stamps,
-                "buffer": {"asked": ROOM, "given": there.sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF),
+                "buffer": {"asked": ROOM, "given": peer.sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF),
                            "holds": held, "of": MOST}}
     finally:
-        here.sock.close()
-        there.sock.close()
+        wire.sock.close()
+        peer.sock.close()
 
 
 def _wire() -> Wire:
@@ -96,7 +96,7 @@ def _wire() -> Wire:
     return Wire(sock, None)
 
 
-def _come(wire: Wire, began: int) -> bool:
+def _arrives(wire: Wire, began: int) -> bool:
     """True if a datagram comes before it counts as lost."""
     while wire.receive() is None:
         if time.monotonic_ns() - began > GIVE_UP_NS:
@@ -104,16 +104,16 @@ def _come(wire: Wire, began: int) -> bool:
     return True
 
 
-def _notes(sock: socket.socket) -> list[Any]:
-    """What the kernel says beside a datagram."""
+def _ancillary_data(sock: socket.socket) -> list[Any]:
+    """Ancillary data that the kernel gives with a datagram."""
     try:
         return sock.recvmsg(SIZE, 64)[1]
     except OSError:  # it did not come
         return []
 
 
-def measured() -> dict[str, Any]:
-    """All of it, as JSON can hold it; of the loopback that failed, its `error`."""
+def measure() -> dict[str, Any]:
+    """Measure all of it, as JSON can hold it; where the loopback failed, its `error`."""
     ordinary: dict[str, Any] = {}
     first: dict[str, Any] = {}
     in_tick_loop(timer(ordinary))
@@ -129,4 +129,4 @@ def measured() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(measured()))
+    print(json.dumps(measure()))

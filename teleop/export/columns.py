@@ -1,4 +1,4 @@
-"""Columns of a trace: unit, meaning, topic, and the names of their numbers in other tools.
+"""Columns of a trace: unit, meaning, topic, and the names that their numbers have in other tools.
 
 Foxglove draws an array as one curve and has no names for its entries, so what has axes is an object with a field for
 each, by its name, in one axis too: a layout made for one run fits the others. A CSV has a column for each.
@@ -26,7 +26,7 @@ TOPICS = {
 
 
 class Quantity(NamedTuple):
-    """What a column is. `unit`: in SI, 1 for a number without one, empty where a law of its own has no word for it."""
+    """Unit, meaning and topic of a column. `unit`: in SI, 1 of a number without one, empty where a law names none."""
 
     unit: str
     meaning: str
@@ -36,27 +36,27 @@ class Quantity(NamedTuple):
 
 def _of_end(e: str) -> dict[str, Quantity]:
     """The columns of one end, m or s."""
-    own, out, back = ("master", "forward", "backward") if e == "m" else ("slave", "backward", "forward")
+    end, out, back = ("master", "forward", "backward") if e == "m" else ("slave", "backward", "forward")
     ways = ("fwd", "bwd") if e == "m" else ("bwd", "fwd")
     return {
-        f"x_{e}": Quantity("m", f"position of the {own}", own, True),
-        f"v_{e}": Quantity("m/s", f"velocity of the {own}", own, True),
-        f"q_{e}": Quantity("m", f"position of the {own} as its encoder reads it", own, True),
-        f"v_hat_{e}": Quantity("m/s", f"velocity of the {own} as it is estimated from its readings", own, True),
-        f"g_{e}": Quantity("1", f"gain of the {own}'s watchdog: 1 lets the law's force through, 0 none of it", own),
-        f"late_{e}": Quantity("s", f"how late the {own}'s tick ran", own),
-        f"E_left_{e}": Quantity("J", f"what is left of the {own}'s energy budget", own),
-        f"seq_{e}": Quantity("1", f"number of the {back} message that the {own} played, which is the tick that sent "
+        f"x_{e}": Quantity("m", f"position of the {end}", end, True),
+        f"v_{e}": Quantity("m/s", f"velocity of the {end}", end, True),
+        f"q_{e}": Quantity("m", f"position of the {end} as its encoder reads it", end, True),
+        f"v_hat_{e}": Quantity("m/s", f"velocity of the {end} as it is estimated from its readings", end, True),
+        f"g_{e}": Quantity("1", f"gain of the {end}'s watchdog: 1 lets the law's force through, 0 none of it", end),
+        f"late_{e}": Quantity("s", f"how late the {end}'s tick ran", end),
+        f"E_left_{e}": Quantity("J", f"what is left of the {end}'s energy budget", end),
+        f"seq_{e}": Quantity("1", f"number of the {back} message that the {end} played, which is the tick that sent "
                              "it; -1 where it had no fresh one", "link"),
-        f"sent_{e}": Quantity("1", f"1 where the {own}'s deadband let a {out} message be sent, 0 where not", "link"),
-        f"queue_{e}": Quantity("s", f"queue of {back} waves at the {own}: the time that is still to be played, below 0 "
+        f"sent_{e}": Quantity("1", f"1 where the {end}'s deadband let a {out} message be sent, 0 where not", "link"),
+        f"queue_{e}": Quantity("s", f"queue of {back} waves at the {end}: the time that is still to be played, below 0 "
                                "where a gap is bridged by what has not come yet", "link", True),
-        f"E_in_{ways[0]}": Quantity("J", f"energy that the {own}'s waves have brought into the link, {out}", "energy"),
-        f"E_out_{ways[1]}": Quantity("J", f"energy that the waves played at the {own} have taken out of the link, "
+        f"E_in_{ways[0]}": Quantity("J", f"energy that the {end}'s waves have brought into the link, {out}", "energy"),
+        f"E_out_{ways[1]}": Quantity("J", f"energy that the waves played at the {end} have taken out of the link, "
                                      f"{back}", "energy"),
-        f"E_port_{e}": Quantity("J", f"work of the stack's force over the motion of the {own}", "energy"),
-        f"E_law_{e}": Quantity("J", f"energy that the law says it keeps at the {own}", "energy"),
-        **{f"q{part}_{e}": Quantity("1", f"{part} of the unit quaternion of the {own}'s first rotation", own)
+        f"E_port_{e}": Quantity("J", f"work of the stack's force over the motion of the {end}", "energy"),
+        f"E_law_{e}": Quantity("J", f"energy that the law says it keeps at the {end}", "energy"),
+        **{f"q{part}_{e}": Quantity("1", f"{part} of the unit quaternion of the {end}'s first rotation", end)
            for part in "wxyz"},
     }
 
@@ -83,17 +83,17 @@ KNOWN: Mapping[str, Quantity] = {
 
 
 def quantity(name: str) -> Quantity:
-    """What the column `name` of a trace is. One that is not `KNOWN` is a field of its law's state, which a law shows.
+    """Look up the column `name` of a trace. One that is not `KNOWN` is a field of its law's state, which a law shows.
 
     >>> quantity("f_env").unit, quantity("H_s").meaning
     ('N', "H of the state of the slave's law, in its own unit")
     """
-    found = KNOWN.get(name)
-    if found is not None:
-        return found
+    known = KNOWN.get(name)
+    if known is not None:
+        return known
     field, _, e = name.rpartition("_")
-    own = "slave" if e == "s" else "master"
-    return Quantity("", f"{field or name} of the state of the {own}'s law, in its own unit", own, True)
+    end = "slave" if e == "s" else "master"
+    return Quantity("", f"{field or name} of the state of the {end}'s law, in its own unit", end, True)
 
 
 class Field(NamedTuple):
@@ -137,7 +137,7 @@ def field(name: str, axes: int, labels: AxisLabels = AxisLabels()) -> Field:  # 
 
 
 def paths_of(one: Field, *, topic: bool = True) -> list[tuple[str, ...]]:
-    """Where the numbers of a column are in an object, with its `topic` or beneath it.
+    """Paths of a column's numbers in an object, with its `topic` or beneath it.
 
     >>> paths_of(field("f_env", 1)), paths_of(field("E_link", 1), topic=False)
     ([('slave', 'f_env', 'x')], [('E_link',)])
@@ -167,7 +167,7 @@ class Objects:
         self._paths = list(paths)
         tree: dict[str, Any] = {}
         for i, path in enumerate(self._paths):
-            _put(tree, path, i)
+            _set_at(tree, path, i)
         self._order: list[int] = []
         self._template = self._of(tree)
 
@@ -194,11 +194,11 @@ class Objects:
         tree: dict[str, Any] = {}
         for path, value in zip(self._paths, row, strict=True):
             if isfinite(value):
-                _put(tree, path, value)
+                _set_at(tree, path, value)
         return json.dumps(tree, separators=(",", ":"), allow_nan=False)
 
 
-def _put(tree: dict[str, Any], path: Keys, value: Any) -> None:
+def _set_at(tree: dict[str, Any], path: Keys, value: Any) -> None:
     for name in path[:-1]:
         tree = tree.setdefault(name, {})
     tree[path[-1]] = value

@@ -1,4 +1,4 @@
-"""What `teleop export` and `teleop stream` do."""
+"""Commands `teleop export` and `teleop stream`."""
 
 from __future__ import annotations
 

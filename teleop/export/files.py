@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.export.columns import TOPICS, Field, Objects, numbers, paths_of
-from teleop.export.stored import Part, Said, all_fields
+from teleop.export.stored import LogEntry, Part, all_fields
 from teleop.storage.strict_json import written
 
 if TYPE_CHECKING:
@@ -108,16 +108,16 @@ def write_mcap(file: BinaryIO, parts: Sequence[Part], library: str) -> dict[str,
     count: dict[str, int] = {}
     channels: dict[str, int] = {}
     for topic, meaning in TOPICS.items():
-        own = [one for one in fields if one.quantity.topic == topic]
-        if own:
-            channels[topic] = _channel(writer, f"/{topic}", f"teleop.{topic}", schema_of(topic, meaning, own))
-            count[f"/{topic}"] = sum(part.ticks for part in parts if any(one.name in part.fields for one in own))
+        own_fields = [one for one in fields if one.quantity.topic == topic]
+        if own_fields:
+            channels[topic] = _channel(writer, f"/{topic}", f"teleop.{topic}", schema_of(topic, meaning, own_fields))
+            count[f"/{topic}"] = sum(part.ticks for part in parts if any(one.name in part.fields for one in own_fields))
     log = _channel(writer, LOG, "foxglove.Log", LOG_SCHEMA)
-    said = 0
+    entries = 0
     sequence = dict.fromkeys(channels, 0)
     for part in parts:
-        waiting = part.said()
-        said += len(waiting)
+        waiting = part.log()
+        entries += len(waiting)
         for ns, topic, text in _messages(part):
             while waiting and waiting[0].ns <= ns:
                 _say(writer, log, waiting.pop(0))
@@ -127,7 +127,7 @@ def write_mcap(file: BinaryIO, parts: Sequence[Part], library: str) -> dict[str,
             _say(writer, log, one)
     writer.finish()  # type: ignore[no-untyped-call]  # mcap types none of it
     file.flush()
-    return {**count, LOG: said}
+    return {**count, LOG: entries}
 
 
 def schema_of(topic: str, meaning: str, fields: Sequence[Field]) -> dict[str, Any]:
@@ -176,8 +176,8 @@ def _channel(writer: Writer, topic: str, name: str, schema: Mapping[str, Any]) -
 def _messages(part: Part) -> Iterator[tuple[int, str, str]]:
     """Time (ns), topic and text of each message of a part, tick by tick."""
     topics = {topic: [one for one in part.fields.values() if one.quantity.topic == topic] for topic in TOPICS}
-    objects = {topic: Objects([path for one in own for path in paths_of(one, topic=False)])
-               for topic, own in topics.items() if own}
+    objects = {topic: Objects([path for one in own_fields for path in paths_of(one, topic=False)])
+               for topic, own_fields in topics.items() if own_fields}
     for block in part.blocks():
         texts = [objects[topic].texts(numbers([block[one.name] for one in topics[topic]])) for topic in objects]
         for t, *row in zip(block["t"].tolist(), *texts, strict=True):
@@ -185,7 +185,7 @@ def _messages(part: Part) -> Iterator[tuple[int, str, str]]:
             yield from ((ns, topic, text) for topic, text in zip(objects, row, strict=True))
 
 
-def _say(writer: Writer, channel: int, one: Said) -> None:
+def _say(writer: Writer, channel: int, one: LogEntry) -> None:
     sec, nsec = divmod(one.ns, 1_000_000_000)
     message = {"timestamp": {"sec": sec, "nsec": nsec}, "level": LEVELS[one.level], "message": one.message,
                "name": one.name, "file": "", "line": 0}
@@ -193,9 +193,9 @@ def _say(writer: Writer, channel: int, one: Said) -> None:
 
 
 def _metadata(part: Part) -> dict[str, str]:
-    """What the summary says of the run, as texts."""
+    """Metadata of the run, from its summary, as texts."""
     summary = part.summary
     keys = ("scene", "mode", "seed", "dt", "ticks", "status", "sentence", "parameters", "metrics", "notes", "versions",
             "command")
-    own = {key: value if isinstance(value := summary[key], str) else written(value) for key in keys if key in summary}
-    return {**own, "time": "nanoseconds since tick 0; the time of day is not recorded"}
+    texts = {key: value if isinstance(value := summary[key], str) else written(value) for key in keys if key in summary}
+    return {**texts, "time": "nanoseconds since tick 0; the time of day is not recorded"}

@@ -1,4 +1,4 @@
-"""What an end in another language has to say: `teleop manifest`, beside `teleop/protocol/WIRE.md`.
+"""Command `teleop manifest`, for an end in another language, beside `teleop/protocol/WIRE.md`.
 
 The entries on which the ends have to agree, the numbers of a message in their places, and examples as bytes.
 """
@@ -42,7 +42,7 @@ def packed(manifest: Mapping[str, str]) -> bytes:
     return data
 
 
-def places(scene: Scene, e: str) -> list[dict[str, Any]]:
+def message_numbers(scene: Scene, e: str) -> list[dict[str, Any]]:
     """The numbers of a message that the end `e` sends, in their order in the packet.
 
     Of each: `place` from 0; `axis`, its name, "" of a number that is one for all axes; `name`; `kind` as in
@@ -51,32 +51,33 @@ def places(scene: Scene, e: str) -> list[dict[str, Any]]:
     law, end = scene.laws[0], "master" if e == "m" else "slave"
     kind = messages(law, scene.dt_ns / 1e9)[0 if e == "m" else 1]
     layout = Layout(kind, scene.axes, couples=hasattr(law, f"{end}_sums"))
-    told, said, names = kinds(kind), _comments(kind), scene.axis_names
+    field_kinds, comments, names = kinds(kind), _comments(kind), scene.axis_names
     # Numbers that tell themselves apart are laid out as an end would, and looked for where they have come.
-    own = [kind(*[float(1000 * i + n) for n in range(len(kind._fields))]) for i in range(scene.axes)]
-    found: list[dict[str, Any]] = []
-    for value in layout.flat(tuple(own)):
+    probes = [kind(*[float(1000 * i + n) for n in range(len(kind._fields))]) for i in range(scene.axes)]
+    numbers: list[dict[str, Any]] = []
+    for value in layout.flat(tuple(probes)):
         i, n = divmod(int(value), 1000)
         name = kind._fields[n]
-        says = said.get(name, "")
-        found.append({"axis": names[i], "name": name, "kind": told[name],
-                      "says": says if scene.axis_units[i] == "m" else _turned(says)})
-    once = {one["name"] for one in found} - {one["name"] for one in found if one["axis"] != names[0]}
-    for one in found:
+        says = comments.get(name, "")
+        numbers.append({"axis": names[i], "name": name, "kind": field_kinds[name],
+                        "says": says if scene.axis_units[i] == "m" else _in_rad(says)})
+    once = {one["name"] for one in numbers} - {one["name"] for one in numbers if one["axis"] != names[0]}
+    for one in numbers:
         if scene.axes > 1 and one["name"] in once:
             one["axis"] = ""
     if structure_of(scene).has.integral:
         for axis in names:
-            found += [{"axis": axis, "name": "U", "kind": "integral", "says": "integral of the waves sent, s sqrt(W)"},
-                      {"axis": axis, "name": "E", "kind": "integral", "says": "their energy, J"}]
-        found.append({"axis": "", "name": "T", "kind": "integral", "says": "the time over which they were sent, s"})
-    return [{"place": i, **one} for i, one in enumerate(found)]
+            numbers += [{"axis": axis, "name": "U", "kind": "integral",
+                         "says": "integral of the waves sent, s sqrt(W)"},
+                        {"axis": axis, "name": "E", "kind": "integral", "says": "their energy, J"}]
+        numbers.append({"axis": "", "name": "T", "kind": "integral", "says": "the time over which they were sent, s"})
+    return [{"place": i, **one} for i, one in enumerate(numbers)]
 
 
-def facts(scene: Scene) -> dict[str, Any]:
-    """All of that of a scene which runs live by the clock, as JSON can hold it; the watchdog's times in s."""
+def describe(scene: Scene) -> dict[str, Any]:
+    """Describe manifest and messages of a scene that runs live by the clock, as JSON; the watchdog's times in s."""
     manifest = live_manifest(scene)
-    sent = {"forth": places(scene, "m"), "back": places(scene, "s")}
+    sent = {"forth": message_numbers(scene, "m"), "back": message_numbers(scene, "s")}
     watchdog: Watchdog | None = scene.watchdog
     examples = {}
     for kind, numbers in zip((Kind.FORTH, Kind.BACK), sent.values(), strict=True):
@@ -98,46 +99,47 @@ def facts(scene: Scene) -> dict[str, Any]:
 
 
 def command(args: Namespace) -> Answer:
-    """Say what a foreign end of a scene has to, and write its manifest to a file if asked to. Raises `Refused`."""
+    """Describe an end in another language, and write its manifest to a file if asked to. Raises `Refused`."""
     knobs = live_knobs(args.scene, knobs_from(args))
-    found = facts(scene := both_ends(load_scene(args.scene, **knobs)))
+    document = describe(scene := both_ends(load_scene(args.scene, **knobs)))
     if args.write is not None:
         path = Path(args.write)
         try:
             with replacing(path) as file:
-                file.write(packed(found["manifest"]))
+                file.write(packed(document["manifest"]))
         except OSError as error:
             raise Refused(f"{path} cannot be written ({error.strerror or error}); name a file in a folder that is "
                           "there") from None
-        found["path"] = str(path)
-    return Answer("\n".join(_lines(scene, found)), found)
+        document["path"] = str(path)
+    return Answer("\n".join(_lines(scene, document)), document)
 
 
-def _lines(scene: Scene, found: Mapping[str, Any]) -> list[str]:
+def _lines(scene: Scene, document: Mapping[str, Any]) -> list[str]:
     """The same for a person."""
     lines = [
         titled(scene), "",
-        f"wire version  {found['wire_version']}",
-        f"tick          {found['tick_ns']} ns, {found['ticks']} of them from tick 0",
-        f"packet        {found['packet_bytes']} bytes, exactly, of FORTH and of BACK",
-        f"HELLO         {found['hello_bytes']} bytes at least",
-        f"manifest      {len(found['manifest'])} entries, sha256 of their map {found['sha256']}",
-        f"E_in          {'the energy put into the link so far, J, or nil' if found['E_in'] else 'nil'}",
+        f"wire version  {document['wire_version']}",
+        f"tick          {document['tick_ns']} ns, {document['ticks']} of them from tick 0",
+        f"packet        {document['packet_bytes']} bytes, exactly, of FORTH and of BACK",
+        f"HELLO         {document['hello_bytes']} bytes at least",
+        f"manifest      {len(document['manifest'])} entries, sha256 of their map {document['sha256']}",
+        f"E_in          {'the energy put into the link so far, J, or nil' if document['E_in'] else 'nil'}",
     ]
     for way, ends in (("forth", "FORTH, master to slave"), ("back", "BACK, slave to master")):
-        lines += ["", f"{ends}: the payload is an array of {len(found[way])} float64"]
-        rows = [(str(one["place"]), one["axis"] or "all", one["name"], one["kind"], one["says"]) for one in found[way]]
+        lines += ["", f"{ends}: the payload is an array of {len(document[way])} float64"]
+        rows = [(str(one["place"]), one["axis"] or "all", one["name"], one["kind"], one["says"])
+                for one in document[way]]
         widths = [max(len(row[i]) for row in rows) for i in range(4)]
         lines += ["  " + "  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[4]])
                   for row in rows]
     lines += ["", "manifest (text, all of it compared)"]
-    width = max(map(len, found["manifest"]))
-    lines += [f"  {name.ljust(width)}  {text}" for name, text in found["manifest"].items()]
+    width = max(map(len, document["manifest"]))
+    lines += [f"  {name.ljust(width)}  {text}" for name, text in document["manifest"].items()]
     for way in ("forth", "back"):
         lines += ["", f"a {way.upper()} of tick {NUMBER} in session {SESSION:#018x}, its numbers 0, 0.125, 0.25 ..",
-                  *_hex(found["examples"][way])]
-    if "path" in found:
-        lines += ["", f"written to {found['path']}: the map as msgpack, as HELLO and WELCOME carry it"]
+                  *_hex(document["examples"][way])]
+    if "path" in document:
+        lines += ["", f"written to {document['path']}: the map as msgpack, as HELLO and WELCOME carry it"]
     return lines
 
 
@@ -147,16 +149,16 @@ def _hex(digits: str) -> list[str]:
     return [f"  {digits[a:b]}" for a, b in pairwise(cuts)]
 
 
-def _turned(says: str) -> str:
-    """What a law's file says of a field, for an axis of rad: laws are written for m."""
+def _in_rad(says: str) -> str:
+    """Comment of a law's file on a field, with its unit for an axis of rad: laws are written for m."""
     what, comma, unit = says.rpartition(", ")
     return what + comma + _OF_RAD.get(unit, unit)
 
 
 def _comments(kind: type[Any]) -> dict[str, str]:
-    """What the law's file says of each field, behind it: that has the unit."""
+    """Comment of the law's file behind each field, which has the unit."""
     try:
         lines = inspect.getsource(kind).splitlines()
     except (OSError, TypeError):  # it was not made in a file
         return {}
-    return {found[1]: found[2].strip() for line in lines if (found := _COMMENT.fullmatch(line))}
+    return {match[1]: match[2].strip() for line in lines if (match := _COMMENT.fullmatch(line))}

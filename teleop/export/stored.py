@@ -31,8 +31,8 @@ BLOCK = 4096  # rows that are in memory at a time
 TRACE = "trace.npz"
 
 
-class Said(NamedTuple):
-    """Something that a run tells besides its numbers. `ns`: when, since tick 0."""
+class LogEntry(NamedTuple):
+    """Entry of a run's log. `ns`: its time since tick 0."""
 
     ns: int
     level: str  # info, warning or error
@@ -63,7 +63,7 @@ class Part:
 
     @property
     def ticks(self) -> int:
-        """How many rows it has."""
+        """Number of its rows."""
         return int(self.summary["ticks"])
 
     def blocks(self) -> Iterator[dict[str, NDArray[Any]]]:
@@ -82,22 +82,22 @@ class Part:
         """The time on the axis of the whole run, ns, of what happened at `t` (s)."""
         return round(t * 1e9) + self.shift_ns
 
-    def said(self) -> list[Said]:
-        """With what it begins, what happened at its ends, and how it ended, in order of time."""
+    def log(self) -> list[LogEntry]:
+        """Log of the run in order of time: how it began, the events of its ends, how it ended."""
         law = law_with_gains(self.summary["parameters"].get("law"))
         what = f"part {self.number:02d}" if self.number else "run"
-        found = [Said(self.ns(self.first or 0.0), "info", "run", f"{what} of {self.summary['scene']}, law {law}")]
+        entries = [LogEntry(self.ns(self.first or 0.0), "info", "run", f"{what} of {self.summary['scene']}, law {law}")]
         dt_ns = round(self.summary["dt"] * 1e9)
         for end in NAMES.values():
-            own = self.summary.get(end)
-            for event in (own.get("events") or ()) if isinstance(own, Mapping) else ():
+            summary = self.summary.get(end)
+            for event in (summary.get("events") or ()) if isinstance(summary, Mapping) else ():
                 ns = max(0, event["k"]) * dt_ns + self.shift_ns
                 message = f"{event['what']}: {event['why']}"
-                found.append(Said(ns, LEVELS.get(event["what"], "info"), end, message))
-        found.sort(key=lambda one: one.ns)
+                entries.append(LogEntry(ns, LEVELS.get(event["what"], "info"), end, message))
+        entries.sort(key=lambda one: one.ns)
         status, sentence = self.summary["status"], self.summary["sentence"]
-        over = max(found[-1].ns, self.ns(self.last or 0.0))
-        return [*found, Said(over, STATUS.get(status, "warning"), "run", f"{status}: {sentence}")]
+        over = max(entries[-1].ns, self.ns(self.last or 0.0))
+        return [*entries, LogEntry(over, STATUS.get(status, "warning"), "run", f"{status}: {sentence}")]
 
 
 LEVELS = {"safe": "warning", "stopped": "warning", "watchdog": "warning"}  # of events; all others are no trouble
@@ -172,9 +172,10 @@ def turned(folder: Path) -> bool:
 
 def parts_in(folder: Path) -> list[tuple[int, Path]]:
     """The folders 01, 02, ... of a run in parts which an end has written into, in order."""
-    found = [(int(one.name), one) for one in folder.glob("[0-9][0-9]*") if one.name.isdecimal() and not one.is_symlink()
-             and any((one / name / FILE).is_file() for name in NAMES.values())]
-    return sorted(found)
+    folders = [(int(one.name), one) for one in folder.glob("[0-9][0-9]*")
+               if one.name.isdecimal() and not one.is_symlink()
+               and any((one / name / FILE).is_file() for name in NAMES.values())]
+    return sorted(folders)
 
 
 def _check_kind(folder: Path) -> None:
@@ -189,10 +190,10 @@ def _check_kind(folder: Path) -> None:
 
 def all_fields(parts: Sequence[Part]) -> list[Field]:
     """The columns of all parts, each once, with the most axes that it has; refuse parts of different axes."""
-    found: dict[str, Field] = {}
+    fields: dict[str, Field] = {}
     for part in parts:
         for name, one in part.fields.items():
-            if found.setdefault(name, one).axes != one.axes:
+            if fields.setdefault(name, one).axes != one.axes:
                 raise Refused(f"{part.folder} has {one.axes} axes of {name}, and the parts before have "
-                              f"{found[name].axes}; export each part by itself")
-    return [*found.values()]
+                              f"{fields[name].axes}; export each part by itself")
+    return [*fields.values()]

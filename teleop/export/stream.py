@@ -33,7 +33,7 @@ IDLE = 0.01  # s between two looks at a record that has nothing new
 
 
 class Some(NamedTuple):
-    """Rows of one end; `shift_ns` goes onto their times."""
+    """Rows of one end; `shift_ns` is added to their times."""
 
     end: GrowingEnd
     rows: list[Row]
@@ -41,7 +41,7 @@ class Some(NamedTuple):
 
 
 class GrowingEnd:
-    """One end's record, of the part `number` (0 of a whole run): `fields` of its rows once there are any."""
+    """Growing record of an end, of the part `number` (0 of a whole run): `fields` of its rows once there are any."""
 
     def __init__(self, folder: Path, number: int) -> None:
         self.number = number
@@ -61,11 +61,11 @@ class GrowingEnd:
         """The columns of a row after those of `OWN`, the axes of each side by side. Raises `Refused`."""
         names, e = self.header["columns"][len(OWN):], self.header["end"]
         labels = labels_in(self.header)
-        found = [field(name, names.count(name), labels) for name in dict.fromkeys(names)]
-        if [one.name for one in found for _ in range(one.axes)] != names or {f"late_{e}", f"seq_{e}"} & {*names}:
+        fields = [field(name, names.count(name), labels) for name in dict.fromkeys(names)]
+        if [one.name for one in fields for _ in range(one.axes)] != names or {f"late_{e}", f"seq_{e}"} & {*names}:
             raise Refused(f"{self._record.folder / FILE} has columns in an order that no record has; give another "
                           "folder")
-        return found
+        return fields
 
     def take(self, most: int) -> list[Row]:
         """The next rows, at most so many. Raises `Refused` if the record is damaged."""
@@ -110,7 +110,7 @@ class GrowingRun:
         self.live = is_being_written(folder) or any(is_being_written(one) for one in self._known)
 
     def take(self, most: int) -> list[Some]:
-        """Of each end the next rows, at most so many, of the earliest part that has any; `over`: there will be none."""
+        """Take the next rows of each end, at most so many, of the earliest part that has any; `over` if none follow."""
         some = list(self._next(most))
         if not some:
             written = is_being_written(self.folder)  # first: what is found then may be the last
@@ -145,7 +145,7 @@ class GrowingRun:
                 self._ends.sort(key=lambda end: end.number)
 
     def _shifted(self, end: GrowingEnd, rows: list[Row]) -> int:
-        """What goes onto the times of these rows, ns: nothing, unless the ends of this part began their ticks anew."""
+        """Shift of the times of these rows, ns: 0 unless the ends of this part began their ticks anew."""
         dt_ns, name = end.header["dt_ns"], end.header["end"]
         first = int(rows[0][0]) * dt_ns
         if end.number not in self._shift_ns:
@@ -181,7 +181,7 @@ def _none_in(folder: Path) -> str:
 
 @dataclass
 class Sent:
-    """What went out: rows, datagrams, and how many of these nobody took."""
+    """Count of the rows and datagrams sent, and of those that nobody took."""
 
     rows: int = 0
     datagrams: int = 0
@@ -191,41 +191,41 @@ class Sent:
 def stream(
     run: GrowingRun, to: Address, *, rows: int, stopped: Callable[[], bool], warn: Callable[[str], None]
 ) -> Sent:
-    """Send all that is in `run`, and what comes, until it is over or `stopped`. `warn` is told once if nobody listens.
+    """Send all that is in `run`, and what comes, until it is over or `stopped`; `warn` once if nobody listens.
 
     Raises `Refused` if nothing can be sent there, or nobody listens and the run is over already.
     """
-    sent, encoders, told = Sent(), dict[GrowingEnd, Encoder](), False
+    sent, encoders, warned = Sent(), dict[GrowingEnd, RowEncoder](), False
     with connected(to) as sock:
         while not (run.over or stopped()):
-            found = False
+            any_rows = False
             for some in run.take(rows):
-                found = True
-                encoder = encoders.get(some.end) or encoders.setdefault(some.end, Encoder(some.end))
+                any_rows = True
+                encoder = encoders.get(some.end) or encoders.setdefault(some.end, RowEncoder(some.end))
                 for data in encoder.datagrams(some, one=rows == 1):
                     _send(sock, data, to, sent)
                     time.sleep(PAUSE)
                 sent.rows += len(some.rows)
-            if sent.unheard and not told:
-                told = True
+            if sent.unheard and not warned:
+                warned = True
                 nobody = (f"nobody listens on {host_port(to)}: start PlotJuggler's UDP Server there, with that port "
                           "and the protocol json")
                 if not run.live:
                     raise Refused(f"{nobody}, and type this again")
                 warn(f"{nobody}; what comes until then is not kept for it")
-            if not found:
+            if not any_rows:
                 time.sleep(IDLE)
     return sent
 
 
-class Encoder:
+class RowEncoder:
     """The rows of one end as datagrams. Every number is under topic, column and, where it has axes, the axis' name."""
 
     def __init__(self, end: GrowingEnd) -> None:
         self._dt_ns = end.header["dt_ns"]
         e = end.header["end"]
-        own: list[Keys] = [("timestamp",), ("master" if e == "m" else "slave", f"late_{e}"), ("link", f"seq_{e}")]
-        self._objects = Objects([*own, *[path for one in end.fields for path in paths_of(one)]])
+        common: list[Keys] = [("timestamp",), ("master" if e == "m" else "slave", f"late_{e}"), ("link", f"seq_{e}")]
+        self._objects = Objects([*common, *[path for one in end.fields for path in paths_of(one)]])
 
     def datagrams(self, some: Some, *, one: bool = False) -> list[bytes]:
         """The datagrams of some rows; an object instead of an array if each is to have `one` row."""

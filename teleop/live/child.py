@@ -16,7 +16,7 @@ from teleop.scene.library import ROOT
 
 START_TIMEOUT = 15.0  # s for a process to come up
 LONGEST_LINE = 1 << 20  # bytes of an event; a longer line is a scene's own print
-KEPT = 1 << 16  # bytes, the last ones, of what a process writes to its standard error
+STDERR_BYTES = 1 << 16  # bytes, the last ones, of what a process writes to its standard error
 UNREAD = 1 << 16  # bytes of orders that a process has not read; what would come on top of it is dropped
 
 
@@ -24,7 +24,7 @@ Tell = Callable[[dict[str, Any]], None]
 
 
 def arguments_of(scene: str, seed: int, knobs: Mapping[str, str], *, realtime: bool) -> list[str]:
-    """What each of the three processes of a run is started with."""
+    """Arguments that each of the three processes of a run is started with."""
     options = [scene, "--seed", str(seed)]
     for key, value in knobs.items():
         options += ["--link", value] if key == "link" else ["--set", f"{key}={value}"]
@@ -32,7 +32,7 @@ def arguments_of(scene: str, seed: int, knobs: Mapping[str, str], *, realtime: b
 
 
 class Child:
-    """One process. What it takes are lines of JSON on its standard input, if it takes orders."""
+    """Child process that is watched; its orders, if it takes any, are lines of JSON on its standard input."""
 
     def __init__(self, name: str, process: asyncio.subprocess.Process) -> None:
         self.name, self.process = name, process
@@ -59,7 +59,7 @@ class Child:
         return cls(name, process)
 
     async def watch(self, tell: Tell) -> tuple[int, str]:
-        """Read its events until it ends, and `tell` them; its exit code and what it said on stderr."""
+        """Read its events until it ends, and `tell` them; its exit code and its last output on stderr."""
         assert self.process.stdout is not None
         assert self.process.stderr is not None
         trouble = asyncio.create_task(_last_of(self.process.stderr))
@@ -95,7 +95,7 @@ class Child:
                           "try again") from None
 
     def failed(self, code: int, errors: str) -> Refused:
-        """Why it ended with `code`, having said so much on stderr."""
+        """Refusal that says why it ended with `code`; `errors`: its last output on stderr."""
         how = f"was ended by the signal {_signal(-code)}" if code < 0 else f"ended with exit code {code}"
         return Refused(errors.removeprefix("teleop: ") or f"the {self.name} {how} and no word")
 
@@ -106,7 +106,7 @@ class Child:
 
 
 def _signal(number: int) -> str:
-    """Its name, or its number where it has none."""
+    """Name of a signal, or its number where it has none."""
     try:
         return signal.Signals(number).name
     except ValueError:
@@ -126,10 +126,10 @@ async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[bytes]:
 
 
 async def _last_of(stream: asyncio.StreamReader) -> bytes:
-    """The last `KEPT` bytes of a stream, which is read to its end."""
+    """The last `STDERR_BYTES` bytes of a stream, which is read to its end."""
     last = b""
-    while part := await stream.read(KEPT):
-        last = (last + part)[-KEPT:]
+    while part := await stream.read(STDERR_BYTES):
+        last = (last + part)[-STDERR_BYTES:]
     return last
 
 

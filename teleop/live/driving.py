@@ -80,11 +80,11 @@ async def meet(shell: Shell) -> bool:
 
 
 def _has_hint(shell: Shell) -> bool:
-    """True if there is more to tell than that no peer has come."""
+    """True if the reason is known why no peer has answered."""
     secure_link = shell.wire.secure_link
     if secure_link is not None and secure_link.trouble is not None:
         return True
-    return shell.connection.configured is not None or _unknown_came(shell)
+    return shell.connection.configured is not None or _has_foreign_packets(shell)
 
 
 def _why_no_peer(shell: Shell, since: str) -> str:
@@ -99,11 +99,11 @@ def _why_no_peer(shell: Shell, since: str) -> str:
     if secure_link is None and shell.endpoint.rejected[Rejection.VERSION.value]:
         return f"{why}; what came is of another wire version than {VERSION}: install the same release at both ends"
     keys = "; what came was from no such end: has one of the two keys, and the other none?"
-    return why + keys * _unknown_came(shell)
+    return why + keys * _has_foreign_packets(shell)
 
 
-def _unknown_came(shell: Shell) -> bool:
-    """True if anything has come that no such end sends."""
+def _has_foreign_packets(shell: Shell) -> bool:
+    """True if packets arrived that no end of this kind sends."""
     secure_link = shell.wire.secure_link
     return sum(shell.endpoint.rejected.values() if secure_link is None else secure_link.dropped.values()) > 0
 
@@ -112,7 +112,7 @@ name_part(meet, "the first exchange")
 
 
 class Listening:
-    """What the system lets through to `wire`, and so to `endpoint`. Times are ns of the monotonic clock."""
+    """Filter of the hosts that reach `wire`, and so `endpoint`. Times are ns of the monotonic clock."""
 
     def __init__(self, endpoint: Endpoint, wire: Wire) -> None:
         self.endpoint, self.wire = endpoint, wire
@@ -168,7 +168,7 @@ async def run(shell: Shell, *, spin_ns: int = 0) -> None:
     loop = asyncio.get_running_loop()
     try:
         gc.collect()  # now: between the first exchange and tick 0 there are 10 ms at most
-        if await first_reading(shell) and await _met(shell):
+        if await first_reading(shell) and await _meet_peer(shell):
             gc.freeze()  # what is here stays: no collection has to look at it again
             used, began = time.process_time_ns(), time.monotonic_ns()
             if isinstance(shell.endpoint.inbox, Stepped):
@@ -188,7 +188,7 @@ async def run(shell: Shell, *, spin_ns: int = 0) -> None:
         await leave(shell)
 
 
-async def _met(shell: Shell) -> bool:
+async def _meet_peer(shell: Shell) -> bool:
     """The first exchange; until it begins nothing that comes is answered."""
     loop = asyncio.get_running_loop()
     loop.add_reader(shell.wire.sock, shell.guarded, shell.drain)
@@ -265,12 +265,12 @@ class ClockDriver:
                 self.shell.stop("the process that gave it orders has ended")
 
     def _go_on(self) -> None:
-        """The end was turned: see `teleop.live.turning`."""
+        """Follow the end to its new scene: see `teleop.live.turning`."""
         self.listening.go_on(self.shell.endpoint)
         self._ticks = self.shell.scene.ticks
 
     def wake(self) -> None:
-        """Do what is due: read the socket, judge what came, and run the tick."""
+        """Read the socket, judge the messages, and run the tick if it is due."""
         shell, counts, session = self.shell, self.shell.counts, self.session
         if shell.interrupt.lost:
             shell.retake_signals()

@@ -71,16 +71,16 @@ def _run(
     e: str, device: Callable[[Scene], LiveDevice], ordered: Callable[[Scene], LiveDevice], argv: list[str]
 ) -> int:
     args = _arguments(e, argv)
-    there: list[LiveDevice] = []
+    devices: list[LiveDevice] = []
     try:
-        code = _run_with(e, ordered if args.orders else device, args, argv, there)
+        code = _run_with(e, ordered if args.orders else device, args, argv, devices)
     finally:
         # The last of all, when signals end this process again: a driver may hang here too.
-        closed = [_closed(each) for each in there]
-    return code if all(closed) else code or FAULT
+        sound = [_close(each) for each in devices]
+    return code if all(sound) else code or FAULT
 
 
-def _closed(device: LiveDevice) -> bool:
+def _close(device: LiveDevice) -> bool:
     """Close a device that can be closed; False, and said on stderr, if it raised something."""
     if (why := close(device)) is None:
         return True
@@ -89,17 +89,17 @@ def _closed(device: LiveDevice) -> bool:
 
 
 def _run_with(
-    e: str, device: Callable[[Scene], LiveDevice], args: Namespace, argv: list[str], there: list[LiveDevice]
+    e: str, device: Callable[[Scene], LiveDevice], args: Namespace, argv: list[str], devices: list[LiveDevice]
 ) -> int:
-    """The run, of the device that was typed or that `device` makes, which is put `there` as soon as it is open."""
-    given = find_device(e, args.named) if args.named else None
+    """The run, of the device that was typed or that `device` makes, added to `devices` as soon as it is open."""
+    by_name = find_device(e, args.named) if args.named else None
     knobs = knobs_from(args) if args.lockstep else live_knobs(args.scene, knobs_from(args))
     endpoint = _endpoint(scene := both_ends(load_scene(args.scene, **knobs)), e, args)
     # Once: of a name that is looked up twice the answers may differ, and only one of them would have been judged.
     at = peer_address(args.peer) if e == "m" else address(args.listen, "--listen")
     sealed, insecure = secure_link(e, args, at)
     with output.live(), Interrupt() as interrupt, LastResort(interrupt) as last, _wire(e, at, sealed) as wire:
-        there.append(made := open_device(device, scene) if given is None else given.open(scene))
+        devices.append(made := open_device(device, scene) if by_name is None else by_name.open(scene))
         interrupt.retake()
         _check_stepped(args, made)
         stem = f"{scene.name}-{NAMES[e]}"
@@ -107,7 +107,7 @@ def _run_with(
               nullcontext(made) if args.lockstep else with_watchdog(
                   made, folder.path, scheduling.above, _watchdog(e, args, knobs)) as watched_device):
             progress = _Progress(scene)
-            say = _said if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
+            say = _report_live if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
             command = ["python", "-m", NAMES[e], *argv]
             about = {"scene": args.scene, "seed": args.seed, "command": command,
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
@@ -124,7 +124,7 @@ def _run_with(
             if args.orders:
                 from teleop.live.turning import Turning  # for an end that takes no orders it need not be there
 
-                shell.told = partial(_told, e)
+                shell.report = partial(_report_event, e)
                 turning = Turning(shell, made, folder, knobs, partial(_turned, args), recorder_of)
                 shell.orders = Orders(SHAPES, turning.take)
             _warn(shell, NAMES[e], quiet=args.json or args.quiet)
@@ -138,7 +138,7 @@ def _run_with(
                 progress.end()
             if shell.counts.ticks or _leaves_a_traceback(shell):
                 folder.keep()
-            code = _said_of_faults(shell, folder.path)
+            code = _report_fault(shell, folder.path)
             if shell.counts.ticks:
                 result = write_end(shell, folder.path, args.seed, command)
             elif code != DONE:
@@ -152,7 +152,7 @@ def _run_with(
 
 
 def _arguments(e: str, argv: list[str]) -> Namespace:
-    """What was typed. Raises `Refused` for what no end can be started with."""
+    """Parse the command line. Raises `Refused` for options that do not go together."""
     if e not in NAMES:
         raise Refused("end_main begins with the end, \"m\" for the master's or \"s\" for the slave's, not "
                       f"{e!r}; write for example end_main(\"s\", MyRobot)")
@@ -198,7 +198,7 @@ def _leaves_a_traceback(shell: Shell) -> bool:
     return shell.outcome.fault is not None and not isinstance(shell.outcome.fault, Refused)
 
 
-def _said_of_faults(shell: Shell, folder: Path) -> int:
+def _report_fault(shell: Shell, folder: Path) -> int:
     """The exit code; what is not DONE is said on stderr, before anything else may fail."""
     if shell.outcome.fault is None and shell.outcome.status != UNRELEASED:
         return DONE
@@ -211,7 +211,7 @@ def _said_of_faults(shell: Shell, folder: Path) -> int:
     return complain(shell.outcome.sentence + where, FORCED if shell.outcome.status == UNRELEASED else code)
 
 
-def _told(e: str, event: Event) -> None:
+def _report_event(e: str, event: Event) -> None:
     tell("event", end=e, **event._asdict())
 
 
@@ -224,7 +224,7 @@ def _turned(args: Namespace, knobs: dict[str, str]) -> tuple[Scene, dict[str, st
 
 
 def _manifest(scene: Scene, args: Namespace) -> dict[str, str]:
-    """What the two ends have to agree on."""
+    """Manifest of the entries on which the two ends have to agree."""
     return {**manifest_of(scene), "mode": "lockstep"} if args.lockstep else live_manifest(scene)
 
 
@@ -321,7 +321,7 @@ def _hint(name: str, sentence: str) -> None:
     print(f"{name}: {sentence}", file=sys.stderr, flush=True)
 
 
-def _said(numbers: dict[str, Any]) -> None:
+def _report_live(numbers: dict[str, Any]) -> None:
     tell("live", **numbers)
 
 
@@ -338,9 +338,9 @@ class _Progress:
         self._bar = Progress(sys.stderr, scene.ticks)
 
     def show(self, numbers: dict[str, Any]) -> None:
-        """One set of live numbers."""
+        """Show the newest numbers."""
         self._bar.show(numbers["k"] + 1, time.monotonic(), *live_text(numbers))
 
     def end(self) -> None:
-        """Go on below it."""
+        """Leave the line, and go on below it."""
         self._bar.end()

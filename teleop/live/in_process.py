@@ -45,10 +45,10 @@ def command(args: Namespace) -> Answer:
                       "of them out")
     texts = {"m": args.device or "simulated", "s": args.robot or "simulated"}
     make = {e: find_device(e, text).open for e, text in texts.items()}
-    other = {word: texts[e] for word, e in (("device", "m"), ("robot", "s")) if texts[e] != "simulated"}
+    reports = {word: texts[e] for word, e in (("device", "m"), ("robot", "s")) if texts[e] != "simulated"}
 
     def stepped(scene: Scene, *, seed: int, clock: Callable[[], int], **_bodies: None) -> Result:
-        return run_stepped(scene, make, seed=seed, clock=clock, named=other)
+        return run_stepped(scene, make, seed=seed, clock=clock, named=reports)
 
     return run_virtual(args, stepped)
 
@@ -91,8 +91,8 @@ def _nothing() -> None:
 def _run(scene: Scene, devices: Mapping[str, LiveDevice], seed: int, clock: Callable[[], int] | None,
          named: dict[str, str]) -> Result:
     plans = link_plans(scene, seed)
-    own = dict(zip("sm", plans, strict=True))
-    ends, start_ns = _met(scene, {e: Stepped(own[e]) for e in "ms"})
+    plan_of = dict(zip("sm", plans, strict=True))
+    ends, start_ns = _begin_session(scene, {e: Stepped(plan_of[e]) for e in "ms"})
     guarded = {e: GuardedDevice(device, scene.axes, trusted=True) for e, device in devices.items()}
     rows = {e: array("d") for e in "ms"}
     began = clock() if clock else 0
@@ -101,17 +101,17 @@ def _run(scene: Scene, devices: Mapping[str, LiveDevice], seed: int, clock: Call
     forces = {e: device.force_source for e, device in guarded.items()}
     notes = [f"{NAMES[e]}: {UNSENSED[e]}" for e, source in forces.items() if source == "unknown"]
     notes += [note for device in devices.values() for note in getattr(device, "notes", ())]
-    return result_of(prepare(_analysed(scene, devices)), plans, rows, ran, end, seed=seed, took=took, forces=forces,
-                     notes=notes, reports=named, judge=_judged(why, devices))
+    return result_of(prepare(_analysable(scene, devices)), plans, rows, ran, end, seed=seed, took=took, forces=forces,
+                     notes=notes, reports=named, judge=_judge_of(why, devices))
 
 
-def _analysed(scene: Scene, devices: Mapping[str, LiveDevice]) -> Scene:
+def _analysable(scene: Scene, devices: Mapping[str, LiveDevice]) -> Scene:
     """The scene without the hand and the environment of the bodies that other devices stand for."""
     master, slave = (getattr(devices[e], "scene_body", False) for e in "ms")
     return replace(scene, hand=scene.hand if master else None, environment=scene.environment if slave else None)
 
 
-def _met(scene: Scene, inboxes: Mapping[str, Stepped]) -> tuple[dict[str, Endpoint], int]:
+def _begin_session(scene: Scene, inboxes: Mapping[str, Stepped]) -> tuple[dict[str, Endpoint], int]:
     """Both ends with their session begun, and the time of tick 0 (ns)."""
     sessions = {e: Session(master=e == "m", manifest=manifest_of(scene), number=NUMBER if e == "m" else None,
                            heals=False) for e in "ms"}
@@ -139,11 +139,11 @@ def _step(scene: Scene, ends: Mapping[str, Endpoint], devices: Mapping[str, Guar
     count, dt_ns, limit = scene.ticks, scene.dt_ns, scene.x_limit
     (m, s), (master, slave) = (ends[e] for e in "ms"), (devices[e] for e in "ms")
     rows_m, rows_s = rows["m"], rows["s"]
-    here, there = _first(master, "m"), _first(slave, "s")
+    reading_m, reading_s = _first(master, "m"), _first(slave, "s")
     for k in range(count):
         now = start_ns + k * dt_ns
-        tick_m = m.tick(k, now, here)
-        tick_s = s.tick(k, now, there)
+        tick_m = m.tick(k, now, reading_m)
+        tick_s = s.tick(k, now, reading_s)
         rows_m.extend(tick_m.row)
         rows_s.extend(tick_s.row)
         failed = m.force_failed or s.force_failed
@@ -155,20 +155,20 @@ def _step(scene: Scene, ends: Mapping[str, Endpoint], devices: Mapping[str, Guar
         m.receive(tick_s.datagram, now)
         for e, device, force in (("m", master, tick_m.force), ("s", slave, tick_s.force)):
             if not device.hold(force):
-                return k + 1, None, _stopped(scene, k, e, device)
+                return k + 1, None, _stop_at(scene, k, e, device)
         readings = master.read(k + 1, now + dt_ns), slave.read(k + 1, now + dt_ns)
         for e, device, reading in zip("ms", (master, slave), readings, strict=True):
             if reading is None:
-                return k + 1, None, _stopped(scene, k, e, device)
-        here, there = readings  # type: ignore[assignment]  # None has just been ruled out
-        for x in here.x + there.x:
+                return k + 1, None, _stop_at(scene, k, e, device)
+        reading_m, reading_s = readings  # type: ignore[assignment]  # None has just been ruled out
+        for x in reading_m.x + reading_s.x:
             if not -limit < x < limit:
-                return k + 1, (here.x, there.x), None
+                return k + 1, (reading_m.x, reading_s.x), None
     return count, None, None
 
 
 def _first(device: GuardedDevice, e: str) -> Reading:
-    """What it reads before the run. Raises `Refused` if it cannot."""
+    """Read the device before the run. Raises `Refused` if it cannot be read."""
     reading = device.read(0, 0)
     if reading is None:
         raise Refused(f"the {NAMES[e]}'s device cannot be read: {device.trouble}; mend that, or leave "
@@ -176,31 +176,31 @@ def _first(device: GuardedDevice, e: str) -> Reading:
     return reading
 
 
-def _stopped(scene: Scene, k: int, e: str, device: GuardedDevice) -> Ending:
+def _stop_at(scene: Scene, k: int, e: str, device: GuardedDevice) -> Ending:
     return Ending("stopped", f"stopped at t = {(k + 1) * scene.dt_ns / 1e9:.3f} s: the {NAMES[e]}'s device fails: "
                              f"{device.trouble}")
 
 
-def _judged(why: Ending | None, devices: Mapping[str, LiveDevice]) -> Judge:
-    """What says how the run ended.
+def _judge_of(why: Ending | None, devices: Mapping[str, LiveDevice]) -> Judge:
+    """Judge of how the run ended.
 
-    Whether it comes to rest is told where nothing but the scene's hand moves it: of a device that a person or a
-    recording moves, of which the scene knows nothing, a run that came to its end is ok. What to type next is told of
-    the scene's own bodies alone, which are those that an analysis knows.
+    Whether it comes to rest is judged where nothing but the scene's hand moves it. A person or a recording may move
+    a device otherwise, of which the scene knows nothing: such a run that reached its end is ok. What to type next is
+    said of the scene's bodies alone, for an analysis knows no others.
     """
-    own = all(getattr(device, "scene_body", False) for device in devices.values())
-    known = own or all(getattr(device, "scene_body", False) or getattr(device, "passive", False)
+    all_simulated = all(getattr(device, "scene_body", False) for device in devices.values())
+    known = all_simulated or all(getattr(device, "scene_body", False) or getattr(device, "passive", False)
                        for device in devices.values())
 
     def judge(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, trip: int) -> Ending:
         if why is not None and why.sentence:
             return why
-        came = verdict(prepared, trace, ran, end, trip)
-        if own or came.status == "diverged":
-            return came
+        ending = verdict(prepared, trace, ran, end, trip)
+        if all_simulated or ending.status == "diverged":
+            return ending
         if not known:
-            return Ending("ok", came.sentence.partition(";")[0])
-        notes = tuple([note.partition(ANALYSE)[0] for note in came.notes])
-        return came._replace(sentence=came.sentence.partition(ANALYSE)[0], notes=notes)
+            return Ending("ok", ending.sentence.partition(";")[0])
+        notes = tuple([note.partition(ANALYSE)[0] for note in ending.notes])
+        return ending._replace(sentence=ending.sentence.partition(ANALYSE)[0], notes=notes)
 
     return judge

@@ -1,4 +1,4 @@
-"""How a live end leaves: its device without force, its record closed, its peer told how the run ended.
+"""Way out of a live end: its device without force, its record closed, its peer told how the run ended.
 
 The force goes as in the safe state: along the watchdog's ramp and within the slew limit, tick by tick, so that nothing
 jumps in a person's hand. The law has no part in it: the force that was held falls in amount until it is zero. The
@@ -55,7 +55,7 @@ async def let_go(shell: Shell) -> None:
         # Now, so that the other end does not go on with what it heard last. How a device that fails has ended is told
         # when it is known.
         shell.bye()
-    most, began, k = _told(endpoint, endpoint.held.force), time.monotonic_ns(), shell.counts.last
+    most, began, k = _sizes_of(endpoint, endpoint.held.force), time.monotonic_ns(), shell.counts.last
     seen = began  # when it was last read
     ring = asyncio.Event()
     alarm = Alarm(asyncio.get_running_loop(), ring.set)
@@ -81,12 +81,12 @@ async def let_go(shell: Shell) -> None:
     if not device.let_go():
         endpoint.guard.tell(shell.counts.ran, "zero", f"the device does not take zero force: {device.trouble}")
         return
-    jump = f", the last {_told(endpoint, force)} at once" if any(force) else ""
+    jump = f", the last {_sizes_of(endpoint, force)} at once" if any(force) else ""
     sentence = f"{most} taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
     endpoint.guard.tell(shell.counts.ran, "zero", sentence)
 
 
-def _told(endpoint: Endpoint, force: Axes) -> str:
+def _sizes_of(endpoint: Endpoint, force: Axes) -> str:
     """The largest size of a force of each unit: "1.61 N", "1.61 N and 0.3 N m"."""
     most: dict[str, float] = {}
     for one, unit in zip(force, endpoint.scene.axis_units, strict=True):
@@ -240,10 +240,10 @@ class LastResort:
             left = due - time.monotonic()
             if left > 0.0:
                 noted, name = self.interrupt.count, self.interrupt.name  # first: the pipe has their numbers by now
-                came = self._read_signals(min(left, POLL_S))
+                numbers = self._read_signals(min(left, POLL_S))
                 before = len(self._names)
-                for number in self.interrupt.signals.intersection(came):
-                    self._names += [name_of(number)] * (came.count(number) - self._is_overrun(number))
+                for number in self.interrupt.signals.intersection(numbers):
+                    self._names += [name_of(number)] * (numbers.count(number) - self._is_overrun(number))
                 if name is not None:
                     self._names += [name] * (noted - len(self._names))
                 if len(self._names) > before:

@@ -27,7 +27,7 @@ class LiveLine:
         self._said_ns = 0
 
     def go_on(self, endpoint: Endpoint) -> None:
-        """Tell of another endpoint from now on."""
+        """Show another endpoint from now on."""
         self._endpoint, self._shown = endpoint, None
 
     def tick(self, k: int, late_ns: int, reading: Reading, force: Axes, row: tuple[float, ...]) -> None:
@@ -46,7 +46,7 @@ class LiveLine:
                 self._said_ns = 1 << 63
 
     def numbers(self, k: int, reading: Reading, force: Axes, row: tuple[float, ...]) -> dict[str, Any]:
-        """What the live line shows, SI units but `late_us`; the lateness is the most since this was asked last.
+        """Numbers of the live line, SI units but `late_us`; the lateness is the most since this was called last.
 
         `x` and `f` are of the first axis. Of several axes, or of one that turns, `axes` has name and unit, position,
         force and force cap (None: none) of each. `queue` is that of the waves heard here, of several axes the longest;
@@ -81,17 +81,17 @@ def live_text(*ends: Mapping[str, Any]) -> tuple[str, str]:
     ('f 0.4/0.4 N  queue 0.7/0.7 ms  x 57.3/30.0 mm  delay 51/51 ms', 'rtt 100 ms  jitter 2.0 ms')
     """
     name, unit, shown = _hardest(ends)
-    parts = [*_safe(ends), name + _each("f", shown, lambda one: _newtons(one["f"]), FORCE_UNIT[unit])]
+    parts = [*_safe(ends), name + _quantity("f", shown, lambda one: _newtons(one["f"]), FORCE_UNIT[unit])]
     if any(one["queue"] is not None for one in ends):
-        parts.append(_each("queue", ends, lambda one: _ms(one["queue"]), "ms"))
-    parts.append(_each("x", shown, lambda one: f"{one['x'] * 1e3:z.1f}", f"m{unit}"))
+        parts.append(_quantity("queue", ends, lambda one: _ms(one["queue"]), "ms"))
+    parts.append(_quantity("x", shown, lambda one: f"{one['x'] * 1e3:z.1f}", f"m{unit}"))
     heard = [one for one in ends if one["delay"] is not None]
     if not heard:
         return "  ".join([*parts, "nothing heard"]), ""
     loss = max((one["loss"] for one in heard if one["loss"] is not None), default=0.0)
     if loss >= 0.0005:
         parts.append(f"loss {loss:.1%}" if loss < 0.01 else f"loss {loss:.0%}")
-    parts.append(_each("delay", ends, lambda one: _ms(one["delay"]), "ms"))
+    parts.append(_quantity("delay", ends, lambda one: _ms(one["delay"]), "ms"))
     rtt = max((one["rtt"] for one in heard if one["rtt"] is not None), default=None)
     less = [f"rtt {_ms(rtt)} ms"] * (rtt is not None) + [f"jitter {_ms(max(one['jitter'] for one in heard))} ms"]
     return "  ".join(parts), "  ".join(less)
@@ -111,7 +111,7 @@ def _hardest(ends: Sequence[Mapping[str, Any]]) -> tuple[str, str, Sequence[Mapp
 
 
 def _safe(ends: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Which ends are in the safe state, with what gain and why; nothing of none."""
+    """Note on the ends in the safe state, with their gains and why; empty if none is."""
     safe = [one for one in ends if one["cause"] is not None]
     if not safe:
         return []
@@ -122,9 +122,9 @@ def _safe(ends: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"{whose}SAFE {gains}, {'/'.join(kind[:room] for kind in kinds)}"]
 
 
-def _each(name: str, ends: Sequence[Mapping[str, Any]], told: Callable[[Mapping[str, Any]], str], unit: str) -> str:
-    """One quantity of each end."""
-    return f"{name} {'/'.join(map(told, ends))} {unit}"
+def _quantity(name: str, ends: Sequence[Mapping[str, Any]], text: Callable[[Mapping[str, Any]], str], unit: str) -> str:
+    """Text of one quantity of each end."""
+    return f"{name} {'/'.join(map(text, ends))} {unit}"
 
 
 def _newtons(force: float) -> str:

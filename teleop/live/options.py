@@ -88,11 +88,11 @@ def secure_link(e: str, args: Namespace, at: Address) -> tuple[SecureLink | None
     need_secure()
     from teleop.protocol.secure.secure_link import SecureLink  # not before: it cannot be imported without the extra
 
-    own, peer = load_key(args.key), parse_fingerprint(args.peer_fingerprint)
-    if own.fingerprint == peer:
+    key, peer = load_key(args.key), parse_fingerprint(args.peer_fingerprint)
+    if key.fingerprint == peer:
         raise Refused(f"--peer-fingerprint is the fingerprint of this end's own key {args.key}, and each end has a "
                       "key of its own; give the one that `teleop keygen` printed at the other end")
-    return (SecureLink.calling(own, peer, at) if e == "m" else SecureLink.listening(own, peer, token_bytes(32))), False
+    return (SecureLink.calling(key, peer, at) if e == "m" else SecureLink.listening(key, peer, token_bytes(32))), False
 
 
 def _open(at: Address, args: Namespace) -> bool:
@@ -130,9 +130,9 @@ def ticks_of(scene: Scene, rate: float | None, *, lockstep: bool, spin: bool) ->
         raise Refused(f"--rate {rate:g} is less than a {MOST_EVERY}th of the scene's {1.0 / scene.dt:g} Hz; "
                       "set the scene's dt instead")
     if every < 1 or abs(every * rate * scene.dt - 1.0) > 1e-6:
-        own = 1.0 / scene.dt
-        raise Refused(f"--rate {rate:g} is no whole part of the scene's {own:g} Hz; write for example --rate "
-                      f"{own / 2:g}, or set the scene's dt")
+        scene_rate = 1.0 / scene.dt
+        raise Refused(f"--rate {rate:g} is no whole part of the scene's {scene_rate:g} Hz; write for example --rate "
+                      f"{scene_rate / 2:g}, or set the scene's dt")
     if every != 1 and scene.has_waves and not integrates(scene.played_as):
         raise Refused(f"--rate {rate:g} is not the scene's, and ends at different rates exchange waves by their "
                       f"integral; write --set playout={as_typed(_integrated(scene.played_as))} at both ends")

@@ -1,4 +1,4 @@
-"""One live end: a `Connection`, a socket, a device and a record; how its run ended, and which part of it failed.
+"""Shell of a live end: its `Connection`, socket, device and record; how its run ended, and which part failed.
 
 What drives it, tick by tick, stands in `driving`; how it lets go of its device in `leaving`.
 
@@ -54,8 +54,8 @@ PARTS: dict[CodeType, str] = {
 
 def part_of(frames: Iterable[FrameType]) -> str | None:
     """The part that the innermost of these frames, which come last, is in; None of no part that has a name here."""
-    found = [PARTS[frame.f_code] for frame in frames if frame.f_code in PARTS]
-    return found[-1] if found else None
+    names = [PARTS[frame.f_code] for frame in frames if frame.f_code in PARTS]
+    return names[-1] if names else None
 
 
 def fault_sentence(error: BaseException, law: Any = None, method: str = "") -> str:
@@ -127,7 +127,7 @@ class Outcome:
 
 @dataclass
 class EndCounts:
-    """What a live end has counted. `last`: the last tick that was due; `ran`: the last one that ran."""
+    """Counts of a live end. `last`: the last tick that was due; `ran`: the last one that ran."""
 
     last: int
     ticks: int = 0
@@ -158,16 +158,16 @@ class Shell:
             endpoint.guard.lapse_after(deadline)
         self.outcome = Outcome()
         self.counts = EndCounts(last=-endpoint.every)
-        self._span_ns = endpoint.every * endpoint.scene.dt_ns  # a turn keeps both
+        self._span_ns = endpoint.every * endpoint.scene.dt_ns  # another scene keeps both
         self.live_line = LiveLine(endpoint, say)
         self.security = LinkSecurity()
         self.realtime: RealTime | None = None  # the scheduling of its process
         self.peer_timeout = peer_timeout  # s for the first exchange; None: without a bound
-        self.hint: Callable[[str], None] = lambda _sentence: None  # told why there is no peer, while that is waited for
-        self.left = False  # has it been through all of `leaving`
+        self.hint: Callable[[str], None] = lambda _sentence: None  # takes the reason why no peer is there
+        self.left = False  # True when all steps of `leaving` are done
         self.free = False  # it has let go of its device, or given that up
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
-        self.told: Callable[[Event], None] = lambda _event: None  # what has happened, as it is written down
+        self.report: Callable[[Event], None] = lambda _event: None  # takes each event as it is recorded
         self.orders: Orders | None = None  # where they come in, if it takes any
         self._share_ns = int(endpoint.own.dt_ns * SHARE)
 
@@ -219,22 +219,22 @@ class Shell:
             self.wire.answer(data, to)
 
     def drain(self) -> None:
-        """Take in what has come: `DRAIN` datagrams at least, and more for `SHARE` of a tick."""
+        """Take in the datagrams that came: `DRAIN` of them at least, and more for `SHARE` of a tick."""
         connection, wire = self.connection, self.wire
         for _ in intake(self._share_ns, least=DRAIN):
-            got = wire.receive()
-            if got is None:
+            datagram = wire.receive()
+            if datagram is None:
                 break
-            data, address, came = got
+            data, address, arrival_ns = datagram
             if data is not None:
-                replies = connection.receive(data, address, came)
+                replies = connection.receive(data, address, arrival_ns)
                 if wire.peer is not connection.peer or wire.secure_link is not None:
                     wire.go_with(connection.peer)
                 for reply, to in replies:
                     wire.answer(reply, to)
 
     def say_again(self, now: int) -> None:
-        """Send what was not answered."""
+        """Send again the messages that were not answered."""
         for data, to in self.connection.due(now):
             self.wire.go_with(self.connection.peer)
             self.wire.answer(data, to)
@@ -242,7 +242,7 @@ class Shell:
             self.wire.due(now)
 
     def take_events(self) -> bool:
-        """Write down what has happened since this was called last; True if a session has begun."""
+        """Record the events since this was called last; True if a session has begun."""
         if not self.endpoint.guard.new_events and not self.endpoint.session.new_events:
             return False  # nearly always
         begun = False
@@ -256,9 +256,9 @@ class Shell:
         return begun
 
     def note(self, event: Event) -> None:
-        """Write down what has happened, and tell whoever gives this end its orders."""
+        """Record an event, and report it to the process that gives this end its orders."""
         self.recorder.note(event)
-        self.told(event)
+        self.report(event)
 
     def tick(self, k: int, now: int, late: int) -> None:
         """Read, compute, hold, send, record: one tick of this end, which runs `late` ns late."""

@@ -1,4 +1,4 @@
-"""What a live end leaves in its folder beside its record: trace.npz and summary.json, as every run does."""
+"""Summary of a live end in its folder, beside its record: trace.npz and summary.json, as of every run."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
     _, record, late, cut = read_noted(folder)
     inbox: Any = endpoint.inbox
     earlier = endpoint.counted
-    told = None if shell.realtime is None else shell.realtime.report
+    scheduling = None if shell.realtime is None else shell.realtime.report
     sends, hears = WAYS[endpoint.e]
     heard = Packets(
         received=earlier["received"] + getattr(inbox, "received", endpoint.received), rejected=dict(endpoint.rejected),
@@ -65,7 +65,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
         "stamp_margin": endpoint.stamp_margin, "cpu": shell.counts.cpu, "run_time": shell.counts.run_time,
         "unsent": shell.wire.unsent, "dropped_by_system": shell.counts.dropped,
         "refused": earlier["refused"] + getattr(inbox, "refused", 0),
-        **_security(shell), **({} if told is None else {"realtime": told}),
+        **_security(shell), **({} if scheduling is None else {"realtime": scheduling}),
     }
     guard = endpoint.guard
     old = [age_note(NAMES[endpoint.e], guard.old, guard.oldest, guard.age)] if guard.old and guard.age else []
@@ -81,12 +81,12 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
                               reading_note(shell.counts.in_read, shell.counts.longest_read,
                                            shell.counts.skipped + shell.counts.ticks),
                               missed_note(shell.counts.skipped, shell.counts.skipped + shell.counts.ticks,
-                                          endpoint.own, told)])],
+                                          endpoint.own, scheduling)])],
     )
 
 
 def _estimates(link: LinkEstimates, every: int) -> dict[str, Any]:
-    """What the packets told of the link and of the peer's clock; s, and the drift as a fraction."""
+    """Estimates of the link and of the peer's clock from the packets; s, and the drift as a fraction."""
     offset = link.clock.offset_ns
     return {"delay": _seconds(link.way), "rtt": _seconds(link.rtt), "jitter": link.jitter_ns / 1e9,
             "lost": link.lost(every), "reordered": link.reordered,
@@ -113,12 +113,12 @@ def clock_note(link: LinkEstimates) -> str | None:
             "begin a new session for it; have a time service (NTP, PTP) keep both clocks, or mend the one that is off")
 
 
-def sums_note(count: int, other: str) -> str | None:
+def sums_note(count: int, peer: str) -> str | None:
     """A sentence if `count` messages of the `other` end were not taken for their T, U and E; None of none."""
     if not count:
         return None
     were = f"{number_of(count, 'message')} of it {plural(count, 'was', 'were')}"
-    return (f"the {other}'s waves do not add up: {were} not taken, for what its waves have come to did "
+    return (f"the {peer}'s waves do not add up: {were} not taken, for what its waves have come to did "
             "not fit its number and the messages before; somebody changes them on the way, or the software "
             "of that end is at fault: have the link sealed (see teleop/protocol/README.md), and the same version at "
             "both ends")
@@ -150,7 +150,7 @@ def missed_note(skipped: int, due: int, scene: Scene, realtime: dict[str, str] |
 
 
 def _allow(realtime: dict[str, str] | None) -> list[str]:
-    """What of a note asks for real-time scheduling, where there was none."""
+    """Advice to allow real-time scheduling, where there was none."""
     if realtime is None:
         return ["real-time scheduling (without --no-realtime)"]
     refused = realtime["scheduler"].startswith("no ")
@@ -163,7 +163,7 @@ def holds_on(shell: Shell) -> bool:
 
 
 def _security(shell: Shell) -> dict[str, Any]:
-    """How the link was kept: sealed, and what of it was dropped; or open, on loopback or because it was asked for."""
+    """Facts on the security of the link: sealed, with counts of what was dropped; or open."""
     secure_link = shell.wire.secure_link
     if secure_link is None:
         return {"sealed": False}

@@ -191,13 +191,14 @@ class Turning:
 
 
 def _changes(before: dict[str, str], after: dict[str, str]) -> str:
-    """What of the knobs is another.
+    """Differences between the knobs, as text.
 
     >>> _changes({"law": "pfra", "delay": "0.1"}, {"delay": "0.2"})
     "delay=0.2, the scene's own law"
     """
-    told = [f"{name}={value}" for name, value in after.items() if before.get(name) != value]
-    return ", ".join([*told, *[f"the scene's own {name}" for name in before if name not in after]]) or "the same again"
+    changed = [f"{name}={value}" for name, value in after.items() if before.get(name) != value]
+    changed += [f"the scene's own {name}" for name in before if name not in after]
+    return ", ".join(changed) or "the same again"
 
 
 def _check_alike(before: Scene, after: Scene) -> None:

@@ -21,7 +21,7 @@ from teleop.__main__ import main
 from teleop.errors import Refused
 from teleop.live.records.inputs import ARRIVALS, INPUTS
 from teleop.live.records.reader import TruncatedRecord
-from teleop.live.replay.rerun import commanded, difference, read_end
+from teleop.live.replay.rerun import command_open_loop, difference, read_end
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Integral
 from teleop.stages.device import Device
@@ -254,7 +254,7 @@ def test_open_loop_over_sessions_that_begin_anew_the_messages_take_the_way_they_
     world.until_both_play(8.0)
     world.run(2.0)
     ends = [read_end(folder, scene) for folder, _ in sorted(world.folders())]
-    for one in commanded(ends, scene, scene).values():
+    for one in command_open_loop(ends, scene, scene).values():
         assert len(one.k) > 300
         assert np.abs(one.commanded).max() > 0.1
         assert np.array_equal(one.commanded, one.recorded)

@@ -1,4 +1,4 @@
-"""One end's part of a run as a result of its own: the columns of its record, and how late its ticks were."""
+"""Result of one end's part of a run: the columns of its record, and how late its ticks were."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def end_result(
     scene: Scene, e: str, record: EndRecord, late: Any, *, seed: int, mode: str, status: str, sentence: str,
     facts: dict[str, Any], packets: dict[str, Packets], notes: Sequence[str], first: int = 0, every: int = 1,
 ) -> Result:
-    """One end's part of a run as a result of its own: its columns, and the figures that they are enough for.
+    """Make the result of one end's part of a run: its columns, and the figures that they are enough for.
 
     `first`: the first tick that was due; `every`: and then every so many.
     """
@@ -36,16 +36,17 @@ def end_result(
                      f"late_{e}": lambda: _scaled(late, 1e9)})
     if record.force == "unknown":
         notes = [*notes, UNSENSED[e]]
-    own = {
+    of_end = {
         "status": status, "sentence": sentence, "ticks": len(record.ticks), **facts,
         "late_us": spread_us(lateness(record.ticks, late, scene.dt_ns, first, every)),
     }
     return Result.make(scene, seed=seed, mode=mode, status=status, sentence=sentence, ticks=len(record.ticks),
-                       run_time=None, trace=trace, packets=packets, notes=notes, extra={"end": NAMES[e], NAMES[e]: own})
+                       run_time=None, trace=trace, packets=packets, notes=notes,
+                       extra={"end": NAMES[e], NAMES[e]: of_end})
 
 
 def lateness(ticks: Any, late: Any, dt_ns: int, first: int = 0, every: int = 1) -> NDArray[np.float64]:
-    """How late (ns) each tick was that was due, those that were skipped for a late one included.
+    """Lateness (ns) of each tick that was due, including those that were skipped for a late one.
 
     `late` is that of the ticks that ran, each against its own instant; the skipped ones before it were due
     that much and one tick more, two ticks more, ... before. Nothing is told where too many were (`far_apart`).
@@ -55,15 +56,15 @@ def lateness(ticks: Any, late: Any, dt_ns: int, first: int = 0, every: int = 1) 
     """
     import numpy as np
 
-    own = np.asarray(late, dtype=float)
+    late_ns = np.asarray(late, dtype=float)
     if far_apart(ticks, first):
-        return own[:0]
+        return late_ns[:0]
     due = np.asarray(np.diff(np.asarray(ticks, dtype=np.int64), prepend=first - every), dtype=np.int64)
     due //= every
     if (due == 1).all():
-        return own
+        return late_ns
     ends = np.add.accumulate(np.maximum(due, 0, out=due))
-    out = np.repeat(own, due)
+    out = np.repeat(late_ns, due)
     for i in np.flatnonzero(due > 1):
         out[ends[i] - due[i] : ends[i]] += np.arange(due[i]) * (every * dt_ns)
     return out

@@ -1,4 +1,4 @@
-"""What a live end was told, and when: all from which its law can be run again, beside its record.
+"""Inputs of a live end and when they came, beside its record: from these its law can be run again.
 
 `inputs.bin` has a row of little-endian float64 for each tick: what the end's tick was sent (see `Endpoint.tick`), and
 the force and the message that it answered with. `arrivals.bin` has a row of little-endian int64 for each message of the
@@ -82,7 +82,7 @@ class InputWriter:
         hears, _ = message_fields(scene, e)
         self._nothing = (0.0,) * (len(hears) * scene.axes)
         self._no_waves = (0.0,) * (len(Integrals._fields) * scene.axes)
-        self._own = (float("nan"),) * scene.axes
+        self._no_index = (float("nan"),) * scene.axes
         self._operated = getattr(structure_of(scene), e).has_stage("operator")
 
     def begin(self, sensor: bool) -> None:
@@ -105,13 +105,13 @@ class InputWriter:
         """
         _, x, v, touch, got, newest, rx, waves, gain, held, since, *switches = inputs
         heard = self._nothing if rx is None else rx[0] if len(rx) == 1 else flat(rx)
-        said = tx[0] if len(tx) == 1 else flat(tx)
+        answer = tx[0] if len(tx) == 1 else flat(tx)
         if sent is not None:
             heard = *heard, *(self._no_waves if waves is None else flat(waves))
-            said = *said, *flat(sent)
+            answer = *answer, *flat(sent)
         self._rows += self._pack(k, since, session, got, newest, gain, *(switches if self._operated else ()),
                                  *x, *v, *(touch or ()), *held, *heard,
-                                 *(index or self._own), *force, *said)
+                                 *(index or self._no_index), *force, *answer)
         self._room = len(self._arrivals) + self._most
 
     def arrived(self, session: int, packet: int, time_ns: int, tick: int) -> None:
@@ -161,7 +161,7 @@ class Inputs(NamedTuple):
         return int(self.header.get("every", 1))
 
 
-class Arrivals(NamedTuple):
+class ArrivalTable(NamedTuple):
     """The rows of `arrivals.bin`: int64 arrays, one number for each message that came, in the order of their coming."""
 
     header: dict[str, Any]
@@ -172,7 +172,7 @@ class Arrivals(NamedTuple):
 
 
 def read_inputs(folder: Path, scene: Scene, beside: Mapping[str, Any]) -> Inputs:
-    """What the end that wrote `folder` was told in a run of `scene`; `beside`: the header of its record.
+    """Read the inputs of the end that wrote `folder` in a run of `scene`; `beside`: the header of its record.
 
     Warns of rows that are cut off or damaged. Raises `Refused`.
     """
@@ -197,7 +197,7 @@ def read_inputs(folder: Path, scene: Scene, beside: Mapping[str, Any]) -> Inputs
     return Inputs(header, RecordFile(path, start, len(names), count), places, sensor)
 
 
-def read_arrivals(folder: Path) -> Arrivals:
+def read_arrivals(folder: Path) -> ArrivalTable:
     """The messages that came to the end that wrote `folder`. Warns of rows that are cut off or damaged.
 
     Raises `Refused`. Memory goes with the size of the file.
@@ -224,7 +224,7 @@ def read_arrivals(folder: Path) -> Arrivals:
         _warn(path, "damaged, with a row that is no packet of a run", count)
     elif 8 * width * count < len(data):
         _warn(path, "cut off in the middle of a row, as by a killed process", count)
-    return Arrivals(header, session[:count], packet[:count], time_ns[:count], tick[:count])
+    return ArrivalTable(header, session[:count], packet[:count], time_ns[:count], tick[:count])
 
 
 def _header(file: BinaryIO, folder: Path, name: str) -> dict[str, Any]:

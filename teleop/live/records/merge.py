@@ -77,7 +77,7 @@ def scene_of(folder: Path, *, trust: bool = False) -> Scene:
 
 
 def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | None = None) -> Result:
-    """One result from the folders of the two ends of a run of `scene`, at the ticks that both ran. Raises `Refused`.
+    """Merge the folders of the two ends of a run of `scene`, at the ticks that both ran. Raises `Refused`.
 
     `channel` is what the relay counted, if it is known. What an end did not write down itself, having been
     killed, is worked out from its record. Where one end ran without the other, what each counted over all of its own
@@ -89,8 +89,8 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     for e, folder in folders.items():
         headers[e], records[e], late[e], _ = _noted(folder)
         if headers[e]["end"] != e:
-            other = NAMES[headers[e]["end"]]
-            raise Refused(f"{folder} is of a {other}; give the master's folder first, then the slave's")
+            wrong = NAMES[headers[e]["end"]]
+            raise Refused(f"{folder} is of a {wrong}; give the master's folder first, then the slave's")
     ours, theirs = headers["m"], headers["s"]
     stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
     if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
@@ -115,29 +115,31 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         records = {e: record._replace(played=None) for e, record in records.items()}
     trace = assemble(prepared := prepare(scene), records)
     again = _in_last_session(trace, events, span, scene.dt)
-    came = _verdict(ends, prepared, trace, records, stepped)
-    own = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
+    verdict = _verdict(ends, prepared, trace, records, stepped)
+    of_ends = {NAMES[e]: end[NAMES[e]] for e, end in ends.items()}
     notes = [*[UNKNOWN] * any(far_apart(record.ticks) for record in records.values())]
     if apart or any(running.values()):
         packets = {}
-        own = {NAMES[e]: _within(span, own[NAMES[e]], headers[e], records[e], late[e]) for e in ends}
+        of_ends = {NAMES[e]: _within(span, of_ends[NAMES[e]], headers[e], records[e], late[e]) for e in ends}
     if apart:
         notes.append("one end ran without the other for a while: the packets and round trips that each counted in all "
                      "of its own run are left out, and stand in its own folder")
     elif not any(running.values()):
-        packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _counted(ends, channel or {})
+        packets = packet_counts(scene, ours["seed"], len(trace["t"])) if stepped else _packets_of(ends, channel or {})
     lossy, held = any(each.lost > 0 for each in packets.values()), max(longest(each.ticks) for each in records.values())
     notes = [*untuned(scene), *law_notes(scene, delays["s"], delays["m"], lossy, held * scene.dt_ns / 1e9), *notes]
-    run_time = max((end["run_time"] for end in own.values() if end.get("run_time") is not None), default=None)
-    extra = {**own, "channel": channel}
+    run_time = max((end["run_time"] for end in of_ends.values() if end.get("run_time") is not None), default=None)
+    extra = {**of_ends, "channel": channel}
     if again and _met_anew(events, span):
         notes.append("the two met anew in between, and their ledgers of energy began anew: they are those of the last "
                      f"session, from t = {again * scene.dt:.3f} s on")
-    notes += [*unplayed(scene, trace, packets, seed=ours["seed"], live=not stepped), *faded(scene, trace), *came.notes,
+    notes += [*unplayed(scene, trace, packets, seed=ours["seed"], live=not stepped), *faded(scene, trace),
+              *verdict.notes,
               *[f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]]
     return Result.make(
-        scene, seed=ours["seed"], mode=ours["mode"], status=came.status, sentence=came.sentence, ticks=len(trace["t"]),
-        run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra, at_rest=came.at_rest)
+        scene, seed=ours["seed"], mode=ours["mode"], status=verdict.status, sentence=verdict.sentence,
+        ticks=len(trace["t"]), run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra,
+        at_rest=verdict.at_rest)
 
 
 def _in_last_session(trace: Columns, events: dict[str, list[dict[str, Any]]], span: range, dt: float) -> int:
@@ -181,7 +183,7 @@ def needs_recovery(folder: Path) -> bool:
 
 
 def recover(folder: Path, scene: Scene | None = None, *, trust: bool = False) -> Result:
-    """What the record in a live folder tells whose process did not come to a summary. Raises `Refused`.
+    """Make the result of a live folder whose process wrote no summary, from its record. Raises `Refused`.
 
     It is written there as summary.json and trace.npz if that process has ended. If it still runs nothing is written,
     and the status is `RUNNING`. `scene`: the one that was run; left out: the folder's own, see `teleop.scene.trust`.
@@ -226,11 +228,11 @@ def _of_one(folder: Path, scene: Scene | None, trust: bool, running: bool) -> tu
     check_fits(scene, header, record.ticks, folder)
     last = _last(record)
     events = read_events(folder)
-    told = {event["what"]: event["why"] for event in events}
-    how = f"after tick {last}: {told['stopped']}" if "stopped" in told else f"without a word after tick {last}"
+    reasons = {event["what"]: event["why"] for event in events}
+    how = f"after tick {last}: {reasons['stopped']}" if "stopped" in reasons else f"without a word after tick {last}"
     status, sentence = "stopped", f"the process ended {how}; {_MADE}"
-    if "turned" in told:
-        status, sentence = "ok", f"ran to t = {(last + 1) * scene.dt:.3f} s, and was turned to {told['turned']}"
+    if "turned" in reasons:
+        status, sentence = "ok", f"ran to t = {(last + 1) * scene.dt:.3f} s, and was turned to {reasons['turned']}"
     if running:
         status, sentence, notes = RUNNING, f"still running: this is its record up to tick {last}", []
     every = header.get("every", 1)
@@ -238,11 +240,11 @@ def _of_one(folder: Path, scene: Scene | None, trust: bool, running: bool) -> tu
     skipped = (last - first) // every + 1 - len(record.ticks)
     notes += [UNKNOWN] * far_apart(record.ticks)
     sends, hears = WAYS[e]
-    came = int((np.asarray(record.played) >= 0).sum())
+    received = int((np.asarray(record.played) >= 0).sum())
     result = end_result(
         scene, e, record, late, seed=header["seed"], mode=header["mode"], status=status, sentence=sentence,
         facts={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
-        packets={sends: Packets(sent=len(record.ticks)), hears: Packets(received=came)},
+        packets={sends: Packets(sent=len(record.ticks)), hears: Packets(received=received)},
     )
     return result, header.get("command", [])
 
@@ -252,7 +254,7 @@ def _scene(header: dict[str, Any], trust: bool) -> Scene:
 
 
 def _summary(folder: Path, scene: Scene, e: str) -> dict[str, Any]:
-    """What the end `e` of a run of `scene` told of itself."""
+    """Summary of the end `e` of a run of `scene`."""
     if needs_recovery(folder):
         return recover(folder, scene).summary()
     try:
@@ -266,7 +268,7 @@ def _summary(folder: Path, scene: Scene, e: str) -> dict[str, Any]:
 
 
 def _noted(folder: Path) -> tuple[dict[str, Any], EndRecord, Any, list[str]]:
-    """What an end wrote into `folder`; `Refused`, naming a folder that an end did write into, if none did."""
+    """Read what an end wrote into `folder`; `Refused`, naming a folder that an end did write into, if none did."""
     if folder.is_symlink() and folder.name in NAMES.values():
         raise Refused(f"{folder} is a link, and what a folder links to is not opened; give the folder itself")
     if not (folder / FILE).is_file():
@@ -278,7 +280,7 @@ def _noted(folder: Path) -> tuple[dict[str, Any], EndRecord, Any, list[str]]:
 
 
 def _first(events: Sequence[dict[str, Any]]) -> int:
-    """The first tick that was due of an end to which this happened."""
+    """First tick that was due at an end with these events."""
     return next((int(event["k"]) for event in events if event.get("what") == "joined"), 0)
 
 
@@ -292,25 +294,25 @@ def _killed(end: dict[str, Any]) -> bool:
 
 
 def _within(
-    span: range, own: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Any
+    span: range, whole: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Any
 ) -> dict[str, Any]:
-    """What there is to tell of an end in the ticks of `span`, out of its record; what it summed up is left out."""
+    """Facts of an end in the ticks of `span`, from its record alone, without the sums of its whole run."""
     import numpy as np
 
     every = header.get("every", 1)
     here = (record.ticks >= span.start) & (record.ticks < span.stop)
     ticks = record.ticks[here]
     first = -(-span.start // every) * every
-    kept: dict[str, Any] = {key: own[key] for key in ("status", "sentence", "sealed", "realtime") if key in own}
+    facts: dict[str, Any] = {key: whole[key] for key in ("status", "sentence", "sealed", "realtime") if key in whole}
     return {
-        **kept, "ticks": len(ticks), "skipped": len(range(first, span.stop, every)) - len(ticks),
-        "events": [event for event in own.get("events") or () if event.get("k") in span],
+        **facts, "ticks": len(ticks), "skipped": len(range(first, span.stop, every)) - len(ticks),
+        "events": [event for event in whole.get("events") or () if event.get("k") in span],
         "late_us": spread_us(lateness(ticks, np.asarray(late)[here], header["dt_ns"], first, every)),
     }
 
 
-def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[str, Packets]:
-    """What the two ends and the channel counted of each direction.
+def _packets_of(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[str, Packets]:
+    """Packets of each direction, as the two ends and the channel counted them.
 
     Where no channel has told what it lost, that is what the hearing end missed, less what was never sent: the ticks
     that the sender left out, and what its deadband saved.
@@ -331,7 +333,7 @@ def _counted(ends: dict[str, dict[str, Any]], channel: dict[str, Any]) -> dict[s
 
 def _verdict(ends: dict[str, dict[str, Any]], prepared: Prepared, trace: Columns, records: dict[str, EndRecord],
              stepped: bool) -> Ending:
-    """How the whole ended: what one end found out, the other was told."""
+    """Judge how the whole run ended, from the statuses of both ends."""
     running = [NAMES[e] for e, end in ends.items() if end["status"] == RUNNING]
     if running:
         over = [f"; {NAMES[e]}: {end['sentence']}" for e, end in ends.items() if end["status"] != RUNNING]

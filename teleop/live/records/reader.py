@@ -45,16 +45,16 @@ _HEADER = record({
 
 def header_columns(scene: Scene, e: str, force: ForceSource) -> list[str]:
     """The columns of the record of the end `e`, each once per axis where it has axes."""
-    found = list(OWN)
+    flat = list(OWN)
     for name in columns(scene, e, force == "sensor"):
-        found += [name.removesuffix("@")] * (scene.axes if "@" in name else 1)
-    return found
+        flat += [name.removesuffix("@")] * (scene.axes if "@" in name else 1)
+    return flat
 
 
-def own_law(scene: Scene) -> dict[str, str]:
-    """What a header says of a law in a file of the user's own; nothing of one that comes with a package."""
-    own = own_file(type(scene.laws[0]))
-    return {} if own is None else {LAW: own.digest}
+def law_entry(scene: Scene) -> dict[str, str]:
+    """Entry of a header on a law in a file of the user's; empty for one that comes with a package."""
+    file = own_file(type(scene.laws[0]))
+    return {} if file is None else {LAW: file.digest}
 
 
 def read_header(file: BinaryIO) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def read_header(file: BinaryIO) -> dict[str, Any]:
 
 
 def sound_rows(file: BinaryIO, width: int) -> tuple[int, str]:
-    """How many rows from here on can be ticks of a run, and why the rest cannot: what is left out of the record.
+    """Count the rows from here on that can be ticks of a run; and say why the next one cannot.
 
     A row can be one if its tick is whole and later than the one before, its lateness and its packet are numbers. What
     a machine without power left unwritten, or others wrote, ends the record there, before any room is made for it.
@@ -98,11 +98,11 @@ def sound_rows(file: BinaryIO, width: int) -> tuple[int, str]:
 
 def check_fits(scene: Scene, header: dict[str, Any], ticks: Sequence[int], folder: object) -> None:
     """Refuse a record that cannot be of a run of `scene`: of another law or other columns, or with ticks beyond it."""
-    if LAW in header and own_law(scene) != {LAW: header[LAW]}:
+    if LAW in header and law_entry(scene) != {LAW: header[LAW]}:
         raise Refused(f"the file of the law was edited since the run in {folder}, and a summary would tell of a law "
                       "that did not run; put back the file as it was")
-    own = (scene.dt_ns, scene.axes, header_columns(scene, header["end"], header["force"]))
-    if own != (header["dt_ns"], header["axes"], header["columns"]):
+    expected = (scene.dt_ns, scene.axes, header_columns(scene, header["end"], header["force"]))
+    if expected != (header["dt_ns"], header["axes"], header["columns"]):
         raise Refused(f"the record in {folder} is not of the scene {scene.name} as it is here: its tick, axes or "
                       "columns are others; install the release that wrote it, or give another folder")
     if len(ticks) and ticks[-1] >= scene.ticks:
@@ -124,7 +124,7 @@ class RecordFile:
         return self._count
 
     def part(self, start: int, stop: int) -> NDArray[np.float64]:
-        """All columns of the rows from `start` up to `stop`, of shape (rows, columns)."""
+        """Read all columns of the rows from `start` up to `stop`, of shape (rows, columns)."""
         import numpy as np
 
         size = 8 * self._width
@@ -141,7 +141,7 @@ class RecordFile:
 
 
 class RecordColumn:
-    """One of the first columns of a record, which `numpy.asarray` reads as numbers of type `dtype`."""
+    """Column of a record, one of the first, which `numpy.asarray` reads as numbers of type `dtype`."""
 
     def __init__(self, rows: RecordFile, at: int, dtype: str) -> None:
         self._rows, self._at, self._dtype = rows, at, dtype
@@ -186,8 +186,8 @@ def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, RecordColumn, l
     """The same as `read_record`, with what it warns of as sentences for the summary."""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
-        found = read_record(folder)
-    return *found, [str(warning.message) for warning in warned]
+        parts = read_record(folder)
+    return *parts, [str(warning.message) for warning in warned]
 
 
 class GrowingRecord:

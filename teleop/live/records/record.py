@@ -19,7 +19,7 @@ from teleop.live.records.reader import (
     FILE,
     OWN,
     header_columns,
-    own_law,
+    law_entry,
 )
 from teleop.protocol.guard import Event
 from teleop.scene.axis_labels import labels_of
@@ -45,7 +45,7 @@ class RecordWriter:
         """
         self.trouble: str | None = None
         self._about = {"end": e, "dt_ns": scene.dt_ns, "axes": scene.axes, **about, **labels_of(scene).document(),
-                       **own_law(scene)}
+                       **law_entry(scene)}
         self._scene, self._e, self._folder = scene, e, folder
         self._rows = bytearray()
         self._pack: Callable[..., bytes] | None = None  # of one row, whose width the first one tells
@@ -112,7 +112,7 @@ class RecordWriter:
 
 
 def read_events(folder: Path) -> list[dict[str, Any]]:
-    """What happened to the end whose record is in `folder`; a line that was cut off is left out."""
+    """Read the events of the end whose record is in `folder`, without a line that was cut off."""
     try:
         lines = read_bytes(folder / EVENTS, links=False).splitlines()
     except OSError:
@@ -126,9 +126,9 @@ def read_events(folder: Path) -> list[dict[str, Any]]:
     return events
 
 
-def never_met(one: Path, other: Path) -> bool:
+def are_strangers(first: Path, second: Path) -> bool:
     """True if the sessions of the two ends that wrote these folders were others, as far as their events tell."""
-    met = [{event["why"] for event in read_events(folder) if event["what"] == "met"} for folder in (one, other)]
+    met = [{event["why"] for event in read_events(folder) if event["what"] == "met"} for folder in (first, second)]
     return all(met) and not met[0] & met[1]
 
 
@@ -136,7 +136,7 @@ class RunFolder:
     """The folder that a live run writes into, `path`; it is gone again in the end unless it was told to be kept."""
 
     def __init__(self, claimed: Claim) -> None:
-        self._claimed, self._kept = claimed, False
+        self._claimed, self._is_kept = claimed, False
 
     @property
     def path(self) -> Path:
@@ -145,16 +145,16 @@ class RunFolder:
 
     def keep(self) -> None:
         """There is something in it to keep."""
-        self._kept = True
+        self._is_kept = True
 
     def go_on(self, claimed: Claim) -> None:
         """Go on in another folder; the one before is whole, and is kept."""
         self._claimed.close()
-        self._claimed, self._kept = claimed, False
+        self._claimed, self._is_kept = claimed, False
 
     def close(self) -> None:
         """Remove it if nothing is to be kept, and let go of it."""
-        if not self._kept:
+        if not self._is_kept:
             self._claimed.drop()
         self._claimed.close()
 

@@ -1,4 +1,4 @@
-"""What `teleop replay` does: run the law of each end of a live run again, and say whether it answers the same."""
+"""Command `teleop replay`: run the law of each end of a live run again, and compare its answers with the record."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.errors import Refused, enumerated, number_of
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.reader import FILE, read_record
-from teleop.live.records.record import never_met
-from teleop.live.replay.rerun import Commanded, Difference, EndFolder, commanded, difference, read_end
+from teleop.live.records.record import are_strangers
+from teleop.live.replay.rerun import Difference, EndFolder, OpenLoopForces, command_open_loop, difference, read_end
 from teleop.scene.axes import FORCE_UNIT
 from teleop.scene.axis_labels import labels_of
 from teleop.scene.loading import load_scene
@@ -40,7 +40,7 @@ BOTH = "each end hears what the other end's law would have sent, when the record
 COLOURS = {"m": BLUE, "s": RED}
 
 
-class Figures(NamedTuple):
+class ForceFigures(NamedTuple):
     """The force of one end as it was and as it would have been, N; in several axes of the axis where it is greatest."""
 
     rms_recorded: float
@@ -60,25 +60,25 @@ def command(args: Namespace) -> Answer:
         ends = [read_end(folder, base) for folder in folders]
     _check_one_run(ends)
     notes = [*dict.fromkeys(str(one.message) for one in warned)]  # a record is read twice
-    what = titled(scene)
-    answers = commanded(ends, base, scene) if typed or formats or args.out else {}
+    title = titled(scene)
+    answers = command_open_loop(ends, base, scene) if typed or formats or args.out else {}
     if typed:
-        rows, document = _told_open(answers, scene, len(ends))
-        sentence, status, code = f"what {what} would have commanded, {OPEN_LOOP}", "open loop", DONE
+        rows, document = _summarize(answers, scene, len(ends))
+        sentence, status, code = f"what {title} would have commanded, {OPEN_LOOP}", "open loop", DONE
         rows += [("", OPEN_LOOP), ("", ALONE if len(ends) == 1 else BOTH)]
         notes += [f"{NAMES[e]}: {number_of(one.unknown, 'message')} that it played in the run came from ticks that the "
                   "other folder does not have, as of a process that was killed or started again; it plays a gap in the "
                   "place of each" for e, one in answers.items() if one.unknown]
     else:
-        found = {NAMES[end.e]: difference(end, base) for end in ends}
-        rows, document = _told_same(found, ends, base)
-        differ = [name for name, one in found.items() if one is not None]
+        differences = {NAMES[end.e]: difference(end, base) for end in ends}
+        rows, document = _compare(differences, ends, base)
+        differ = [name for name, one in differences.items() if one is not None]
         sentence = "; ".join(f"{name}: {text}" for name, text in rows)
         status, code = ("differs", FAULT) if differ else ("same", DONE)
     rows += [("note", note) for note in notes]
     full = {**scene_head(scene, "replay", sentence=sentence, status=status, seed=seed, command=args.typed),
             "run": [str(folder) for folder in folders], **document, "notes": notes}
-    answer = Answer(facts([("replay", f"{', '.join(map(str, folders))} ({what})"), *rows]), full, code)
+    answer = Answer(facts([("replay", f"{', '.join(map(str, folders))} ({title})"), *rows]), full, code)
     if not answers or not (formats or args.out):
         return answer
     with new_folder(args.out, f"{base.name}-replay") as new:
@@ -86,7 +86,7 @@ def command(args: Namespace) -> Answer:
         with replacing(new.inside / "forces.npz") as file:
             write_arrays(file, _arrays(answers, scene))
         if formats:
-            plots = draw(f"replay of {folders[0]}: {what}", answers, scene, new.inside / "replay", formats,
+            plots = draw(f"replay of {folders[0]}: {title}", answers, scene, new.inside / "replay", formats,
                          open_loop=bool(typed))
         write_document(new.inside / "summary.json", full)
     return answer.kept_in(new.path).with_plots(new.path, plots)
@@ -119,14 +119,14 @@ def _check_one_run(ends: Sequence[EndFolder]) -> None:
     keys = ("scene", "knobs", "mode")
     if (master.e, slave.e) != ("m", "s"):
         raise Refused("give the master's folder first, then the slave's")
-    if any(master.header[key] != slave.header[key] for key in keys) or never_met(master.folder, slave.folder):
+    if any(master.header[key] != slave.header[key] for key in keys) or are_strangers(master.folder, slave.folder):
         raise Refused(f"{master.folder} and {slave.folder} are not the two ends of one run; give two that ran together")
 
 
-def _told_same(found: Mapping[str, Difference | None], ends: Sequence[EndFolder], scene: Scene
+def _compare(differences: Mapping[str, Difference | None], ends: Sequence[EndFolder], scene: Scene
                ) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     rows, document = [], {}
-    for end, (name, one) in zip(ends, found.items(), strict=True):
+    for end, (name, one) in zip(ends, differences.items(), strict=True):
         ticks = f"{end.ticks:,} ticks"
         if one is None:
             rows.append((name, f"{ticks}, forces and messages the same to the bit"))
@@ -138,45 +138,47 @@ def _told_same(found: Mapping[str, Difference | None], ends: Sequence[EndFolder]
     return rows, document
 
 
-def _told_open(answers: Mapping[str, Commanded], scene: Scene, ends: int
+def _summarize(answers: Mapping[str, OpenLoopForces], scene: Scene, ends: int
                ) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     rows, document = [], {}
     for e, one in answers.items():
-        own, axis = figures(one, scene.dt_ns), _worst_axis(one)
+        figures, axis = force_figures(one, scene.dt_ns), _worst_axis(one)
         unit = FORCE_UNIT[scene.axis_units[axis]]
-        apart = (f"they differ by {si(own.rms_difference, unit)} rms, at most {si(own.greatest_difference, unit)} at "
-                 f"t = {own.at:.3f} s") if own.greatest_difference else "the same at every tick"
+        most = figures.greatest_difference
+        apart = (f"they differ by {si(figures.rms_difference, unit)} rms, at most {si(most, unit)} at "
+                 f"t = {figures.at:.3f} s") if most else "the same at every tick"
         along = f" along {scene.axis_names[axis]}" * (scene.axes > 1)
-        rows.append((NAMES[e], f"f_{e}{along} rms {si(own.rms, unit)}, recorded {si(own.rms_recorded, unit)}; {apart}"))
-        force: dict[str, Any] = {key: finite(value) for key, value in own._asdict().items()}
+        rows.append((NAMES[e], f"f_{e}{along} rms {si(figures.rms, unit)}, recorded {si(figures.rms_recorded, unit)}; "
+                               f"{apart}"))
+        force: dict[str, Any] = {key: finite(value) for key, value in figures._asdict().items()}
         force |= {"axis": scene.axis_names[axis], "unit": unit} if scene.axes > 1 else {}
         document[NAMES[e]] = {"ticks": len(one.k), "force": force,
                               "heard": "recorded" if ends == 1 else "exchanged"}
     return rows, document
 
 
-def figures(one: Commanded, dt_ns: int) -> Figures:
-    """What there is to say of one end's forces; NaN of no ticks."""
+def force_figures(one: OpenLoopForces, dt_ns: int) -> ForceFigures:
+    """Figures of one end's forces; NaN of no ticks."""
     import numpy as np
 
     if not len(one.k):
         nan = float("nan")
-        return Figures(nan, nan, nan, nan, nan)
+        return ForceFigures(nan, nan, nan, nan, nan)
     apart, axis = one.commanded - one.recorded, _worst_axis(one)
     i = int(np.argmax(np.abs(apart[:, axis])))
     with np.errstate(all="ignore"):  # of a law that gives what is not finite
         was, now, rest = [float(np.sqrt(np.mean(each[:, axis] ** 2))) for each in (one.recorded, one.commanded, apart)]
-    return Figures(was, now, rest, float(abs(apart[i, axis])), float(one.k[i] * dt_ns / 1e9))
+    return ForceFigures(was, now, rest, float(abs(apart[i, axis])), float(one.k[i] * dt_ns / 1e9))
 
 
-def _worst_axis(one: Commanded) -> int:
+def _worst_axis(one: OpenLoopForces) -> int:
     """The axis on which the forces differ most; 0 of no ticks."""
     import numpy as np
 
     return int(np.argmax(np.max(np.abs(one.commanded - one.recorded), axis=0))) if len(one.k) else 0
 
 
-def _arrays(answers: Mapping[str, Commanded], scene: Scene) -> dict[str, NDArray[np.float64]]:
+def _arrays(answers: Mapping[str, OpenLoopForces], scene: Scene) -> dict[str, NDArray[np.float64]]:
     """Times (s) and forces (N) of each end."""
     arrays: dict[str, Any] = {}
     for e, one in answers.items():
@@ -185,24 +187,24 @@ def _arrays(answers: Mapping[str, Commanded], scene: Scene) -> dict[str, NDArray
     return arrays
 
 
-def draw(title: str, answers: Mapping[str, Commanded], scene: Scene, path: Path, formats: Sequence[str], *,
+def draw(title: str, answers: Mapping[str, OpenLoopForces], scene: Scene, path: Path, formats: Sequence[str], *,
          open_loop: bool) -> list[Path]:
     """Draw a panel for each end and unit as `path` in each of `formats`; returns the files. Raises `Refused`.
 
     Of more axes than share a panel, those are drawn whose force differs most from the recorded one, as a share of it.
     """
-    labels, shown = labels_of(scene), _shown(answers, scene.axes)
-    said = f"{title}, open loop" if open_loop else title
+    labels, shown = labels_of(scene), _axes_shown(answers, scene.axes)
+    heading = f"{title}, open loop" if open_loop else title
     if len(shown) < scene.axes:
-        said += (f"; {len(shown)} of {scene.axes} axes, those whose force differs most: "
+        heading += (f"; {len(shown)} of {scene.axes} axes, those whose force differs most: "
                  f"{enumerated([scene.axis_names[i] for i in shown])}")
     rows = [(e, one, unit, axes) for e, one in answers.items()
             for unit, axes in by_unit("N", shown, labels, scene.axes).items()]
-    figure = new_figure((9.5, 2.4 * len(rows) + 0.8), fill(literal(said), 110))
+    figure = new_figure((9.5, 2.4 * len(rows) + 0.8), fill(literal(heading), 110))
     panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (e, one, unit, own) in zip(panels, rows, strict=True):
+    for axes, (e, one, unit, chosen) in zip(panels, rows, strict=True):
         t = one.k * scene.dt_ns / 1e9
-        for i in own:
+        for i in chosen:
             name = f"$f_{e}$" + (f", {literal(scene.axis_names[i])}" if scene.axes > 1 else "")
             line = LINES[shown.index(i)]
             axes.plot(t, one.recorded[:, i], color=DARK, linestyle=line, label=f"{name} recorded", **UNDER)
@@ -215,7 +217,7 @@ def draw(title: str, answers: Mapping[str, Commanded], scene: Scene, path: Path,
     return save(figure, path, formats)
 
 
-def _shown(answers: Mapping[str, Commanded], axes: int) -> list[int]:
+def _axes_shown(answers: Mapping[str, OpenLoopForces], axes: int) -> list[int]:
     import numpy as np
 
     if axes <= TOGETHER:

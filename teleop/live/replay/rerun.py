@@ -1,4 +1,4 @@
-"""One end's law run again over the record of what it read and heard, by the lines of the tick that ran live.
+"""Rerun of one end's law over the record of what it read and heard, by the lines of the tick that ran live.
 
 Of another law, or other knobs, that gives what it would have commanded along the recorded motion, open loop: each end
 reads what it read, holds what it held, and has the guard's gain that it had. Where there are both ends' folders, each
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.errors import Refused, enumerated
 from teleop.law import law_name, messages
 from teleop.live.records.end_result import NAMES
-from teleop.live.records.inputs import Arrivals, Inputs, flat, message_fields, read_arrivals, read_inputs
+from teleop.live.records.inputs import ArrivalTable, Inputs, flat, message_fields, read_arrivals, read_inputs
 from teleop.live.records.reader import OWN, check_fits, read_record
 from teleop.live.records.record import read_events
 from teleop.protocol.inbox import Inbox
@@ -42,7 +42,7 @@ AHEAD = 64  # ticks by which arrivals are handed over before they are due, as th
 
 
 class EndFolder(NamedTuple):
-    """What one end left: the header of its record, its rows, and what it was told at each of them."""
+    """Folder of one end: the header of its record, its rows, and its inputs at each of them."""
 
     folder: Path
     header: dict[str, Any]
@@ -51,7 +51,7 @@ class EndFolder(NamedTuple):
 
     @property
     def e(self) -> str:
-        """Which end it is, m or s."""
+        """The end, m or s."""
         return str(self.header["end"])
 
     @property
@@ -61,14 +61,14 @@ class EndFolder(NamedTuple):
 
 
 def read_end(folder: Path, scene: Scene) -> EndFolder:
-    """What the end that wrote `folder` left of a run of `scene`. Warns of what is cut off; raises `Refused`."""
+    """Read the folder of an end of a run of `scene`. Warns of what is cut off; raises `Refused`."""
     header, record, _ = read_record(folder)
     check_fits(scene, header, record.ticks, folder)
     return EndFolder(folder, header, record, read_inputs(folder, scene, header))
 
 
-class Told(NamedTuple):
-    """What an end was told at one tick, as its row has it."""
+class TickInputs(NamedTuple):
+    """Inputs of an end at one tick, as its row has them."""
 
     k: int  # tick of the grid
     session: int
@@ -87,11 +87,11 @@ class Told(NamedTuple):
 
 
 # The message that a tick plays: its number, the law's, and what its waves have come to.
-Heard = Callable[[Told, bool], tuple[float, Any, Any] | None]
+Heard = Callable[[TickInputs, bool], tuple[float, Any, Any] | None]
 
 
-class Answered(NamedTuple):
-    """What an end answered with at one tick: the force (N, per axis), its message by axis, its row."""
+class TickOutputs(NamedTuple):
+    """Outputs of an end at one tick: the force (N, per axis), its message by axis, its row."""
 
     k: int
     force: Axes
@@ -100,8 +100,8 @@ class Answered(NamedTuple):
     row: Axes
 
 
-def told(end: EndFolder) -> Iterator[tuple[Told, list[float]]]:
-    """What the end was told, tick by tick, and what it answered with: force and message as numbers."""
+def tick_inputs(end: EndFolder) -> Iterator[tuple[TickInputs, list[float]]]:
+    """Inputs of the end, tick by tick, and its outputs: force and message as numbers."""
     at, rows = end.inputs.places, end.inputs.rows
     nothing = slice(0, 0)  # of a law whose messages are empty
     places = [at.get(name, nothing) for name in (f"x_{end.e}", f"v_{end.e}", "f_held", "rx", "waves", "index")]
@@ -112,7 +112,7 @@ def told(end: EndFolder) -> Iterator[tuple[Told, list[float]]]:
         for row in rows.part(block.start, block.stop).tolist():
             k, since, session, fresh, newest, gain = row[:6]
             x, v, held, rx, waves, index = [tuple(row[one]) for one in places]
-            yield Told(int(k), int(session), fresh != 0.0, newest, gain, int(since), x, v,
+            yield TickInputs(int(k), int(session), fresh != 0.0, newest, gain, int(since), x, v,
                        None if sensed is None else tuple(row[sensed]), held, rx, waves,
                        (0.0, 1.0) if switches is None else tuple(row[switches]),
                        None if isnan(index[0]) else index), row[answer:]
@@ -125,10 +125,10 @@ class Rerun:
         """`touch`: the external force at each row (N, per axis) where the device sensed none and the law reads one."""
         e, every = end.e, end.inputs.every
         self.e, self._every, self._touch, self._at = e, every, touch, 0
-        self._own = replace(scene, dt=scene.dt * every) if every != 1 else scene
+        self._scene = replace(scene, dt=scene.dt * every) if every != 1 else scene
         self.sensor = end.inputs.sensor or touch is not None
-        self._live = live_of(self._own, e, self.sensor)
-        forth, back = messages(scene.laws[0], self._own.dt_ns / 1e9)
+        self._live = live_of(self._scene, e, self.sensor)
+        forth, back = messages(scene.laws[0], self._scene.dt_ns / 1e9)
         self._kind = back if e == "m" else forth
         names = columns(scene, e, self.sensor)
         flat = [name for name in names for _ in range(scene.axes if "@" in name else 1)]
@@ -137,37 +137,37 @@ class Rerun:
         self._session = 0
         self._started: Any = None  # the generator of its session
 
-    def tick(self, told: Told, heard: Heard | None = None) -> Answered:
+    def tick(self, inputs: TickInputs, heard: Heard | None = None) -> TickOutputs:
         """Run one tick. `heard`: what it plays then in place of the message in its record."""
-        touch = told.f_ext
+        touch = inputs.f_ext
         if self._touch is not None:
             touch = tuple(self._touch[self._at].tolist())
             self._at += 1
-        begins = told.session != self._session
+        begins = inputs.session != self._session
         if begins:
-            self._session = told.session
-            given = numbers_of(self._own, {self.e: told.x})
-            dt = self._own.dt_ns / 1e9
-            self._started = self._live(given, self._own.law, dt, told.x, told.v, touch)
+            self._session = inputs.session
+            begins_with = numbers_of(self._scene, {self.e: inputs.x})
+            dt = self._scene.dt_ns / 1e9
+            self._started = self._live(begins_with, self._scene.law, dt, inputs.x, inputs.v, touch)
             next(self._started)
         if heard is None:
-            got, newest, rx, waves = told.fresh, told.newest, None, None
+            got, newest, rx, waves = inputs.fresh, inputs.newest, None, None
             if got:
-                rx, waves = self._by_axis(self._kind, told.rx), self._by_axis(Integrals, told.waves)
+                rx, waves = self._by_axis(self._kind, inputs.rx), self._by_axis(Integrals, inputs.waves)
         else:
-            played = heard(told, begins)
+            played = heard(inputs, begins)
             got, newest, rx, waves = (False, -1, None, None) if played is None else (True, *played)
         force, tx, sent, row = self._started.send((
-            told.k // self._every, told.x, told.v, touch, got, newest, rx, waves, told.gain, told.f_held, told.since,
-            *told.switches))
-        if told.origin is not None:
-            row = self._physical(row, told.origin)
-        return Answered(told.k, force, tx, sent, row)
+            inputs.k // self._every, inputs.x, inputs.v, touch, got, newest, rx, waves, inputs.gain, inputs.f_held,
+            inputs.since, *inputs.switches))
+        if inputs.origin is not None:
+            row = self._physical(row, inputs.origin)
+        return TickOutputs(inputs.k, force, tx, sent, row)
 
     def _by_axis(self, kind: Any, numbers: Axes) -> tuple[Any, ...] | None:
         """A message of each axis out of its numbers; None where none is sent along."""
         n = len(kind._fields)
-        return tuple([kind(*numbers[i * n : i * n + n]) for i in range(self._own.axes)]) if numbers or not n else None
+        return tuple([kind(*numbers[i * n : i * n + n]) for i in range(self._scene.axes)]) if numbers or not n else None
 
     def _physical(self, row: Axes, index: Axes) -> Axes:
         out = list(row)
@@ -195,7 +195,7 @@ def difference(end: EndFolder, scene: Scene) -> Difference | None:
     table: Any = end.record.rows
     row, ticks = 0, np.asarray(end.record.ticks)
     rows: list[list[float]] = []
-    for i, (one, answered) in enumerate(told(end)):
+    for i, (one, answered) in enumerate(tick_inputs(end)):
         if i == row:
             rows = table.table(i, row := min(i + 4096, end.ticks)).tolist()
         if one.k != ticks[i]:
@@ -213,8 +213,8 @@ def difference(end: EndFolder, scene: Scene) -> Difference | None:
     return None
 
 
-class Commanded(NamedTuple):
-    """What one end's law commanded, and what the other one would have: arrays of a row for each tick."""
+class OpenLoopForces(NamedTuple):
+    """Forces that one end's law commanded, and that the other law would have: arrays of a row for each tick."""
 
     k: NDArray[np.int64]
     recorded: NDArray[np.float64]  # N, (ticks, axes)
@@ -222,8 +222,8 @@ class Commanded(NamedTuple):
     unknown: int = 0  # messages that it played in the run, sent at ticks that the other end's folder does not have
 
 
-def commanded(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str, Commanded]:
-    """What the law of `scene` would have commanded at each of `ends` of a run of `base`. Raises `Refused`."""
+def command_open_loop(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str, OpenLoopForces]:
+    """Run the law of `scene` open loop at each of `ends` of a run of `base`. Raises `Refused`."""
     import numpy as np
 
     if (scene.dt_ns, scene.axes) != (base.dt_ns, base.axes):
@@ -235,9 +235,9 @@ def commanded(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str,
         raise Refused("the ends ticked at a rate of their own (--rate), so what they would have heard of each other is "
                       "not known; give one end's folder, and a law of the same messages")
     reruns = {end.e: Rerun(end, scene, _touch(end, base, scene)) for end in ends}
-    sources = {end.e: told(end) for end in ends}
+    sources = {end.e: tick_inputs(end) for end in ends}
     exchange = None if len(ends) == 1 else Exchange(ends, scene)
-    found = {end.e: (array("q"), array("d"), array("d")) for end in ends}  # 24 bytes a tick, in one axis
+    forces = {end.e: (array("q"), array("d"), array("d")) for end in ends}  # 24 bytes a tick, in one axis
     waiting = {e: first for e, source in sources.items() if (first := next(source, None)) is not None}
     while waiting:
         e = min(waiting, key=lambda e: (waiting[e][0].k, e))
@@ -245,15 +245,15 @@ def commanded(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> dict[str,
         got = reruns[e].tick(one, None if exchange is None else partial(exchange.play, e))
         if exchange is not None:
             exchange.send(e, one.k, (got.tx, got.sent))
-        ticks, was, now = found[e]
+        ticks, was, now = forces[e]
         ticks.append(one.k)
         was.extend(answered[: scene.axes])
         now.extend(got.force)
         if (following := next(sources[e], None)) is not None:
             waiting[e] = following
-    return {e: Commanded(np.array(k, np.int64), np.array(was, float).reshape(-1, scene.axes),
+    return {e: OpenLoopForces(np.array(k, np.int64), np.array(was, float).reshape(-1, scene.axes),
                          np.array(now, float).reshape(-1, scene.axes), 0 if exchange is None else exchange.unknown[e])
-            for e, (k, was, now) in found.items()}
+            for e, (k, was, now) in forces.items()}
 
 
 class Exchange:
@@ -262,7 +262,7 @@ class Exchange:
     def __init__(self, ends: Sequence[EndFolder], scene: Scene) -> None:
         self._scene = scene
         self._sent: dict[str, dict[int, Any]] = {end.e: {} for end in ends}
-        self._arrivals: dict[str, Arrivals | None] = {
+        self._arrivals: dict[str, ArrivalTable | None] = {
             end.e: None if end.header["mode"] == "lockstep" else read_arrivals(end.folder) for end in ends}
         self._inboxes: dict[str, Inbox[None]] = {}
         self._next = {end.e: 0 for end in ends}  # of the arrivals
@@ -278,20 +278,20 @@ class Exchange:
         if len(sent) > 2 * KEPT:
             self._sent[e] = {at: sent[at] for at in [*sent][-KEPT:]}
 
-    def play(self, e: str, told: Told, begins: bool) -> tuple[int, Any, Any] | None:
+    def play(self, e: str, inputs: TickInputs, begins: bool) -> tuple[int, Any, Any] | None:
         """The message that the end `e` plays at a tick, see `Heard`. `begins`: it is the first tick of a session."""
-        arrivals, k = self._arrivals[e], told.k
+        arrivals, k = self._arrivals[e], inputs.k
         if begins:
             self._before.pop(e, None)
         if arrivals is None:  # it went by packets, each played by a schedule
-            packet = int(told.newest) if told.fresh and isfinite(told.newest) else None
+            packet = int(inputs.newest) if inputs.fresh and isfinite(inputs.newest) else None
         else:
             i, session = self._next[e], arrivals.session
             if begins:
                 self._inboxes[e] = Inbox(self._scene.played_as, self._scene.dt_ns, tick=k - 1)
-                i = max(i, bisect_right(session, told.session - 1))
+                i = max(i, bisect_right(session, inputs.session - 1))
             inbox = self._inboxes[e]
-            while i < len(session) and session[i] == told.session and arrivals.tick[i] <= k + AHEAD:
+            while i < len(session) and session[i] == inputs.session and arrivals.tick[i] <= k + AHEAD:
                 inbox.add(int(arrivals.packet[i]), int(arrivals.tick[i]), None)
                 i += 1
             self._next[e] = i
@@ -302,13 +302,13 @@ class Exchange:
             self.unknown[e] += packet is not None
             return None
         tx, waves = message
-        if waves is not None and (told.session > 1 or e in self._joined):
+        if waves is not None and (inputs.session > 1 or e in self._joined):
             waves = since(self._before.setdefault(e, waves), waves)
         return packet, tx, waves
 
 
 def since(before: tuple[Integrals, ...], waves: tuple[Integrals, ...]) -> tuple[Integrals, ...]:
-    """What waves have come to since they had come to as much, per axis."""
+    """Integrals of waves since `before`, per axis."""
     return tuple([Integrals(*[now - then for now, then in zip(each, one, strict=True)])
                   for each, one in zip(waves, before, strict=True)])
 

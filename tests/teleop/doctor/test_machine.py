@@ -122,15 +122,15 @@ class TestTheProbe:
     def test_that_fails_is_told_as_such(self, code: str, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(machine, "PROBE", ("-c", code))
         monkeypatch.setattr(machine, "PATIENCE", 0.5 if "sleep" in code else 30.0)
-        told = machine.measured()
+        told = machine.measure()
         assert why in told["error"]
         rights = machine.realtime(told)
         assert str(rights["scheduler"]).startswith("no (")
-        assert [one.good for one in machine.judged(told, rights)] == [False]
+        assert [one.good for one in machine.judge(told, rights)] == [False]
 
     @pytest.mark.live
     def test_measures_what_is_judged(self) -> None:
-        told = machine.measured()
+        told = machine.measure()
         assert told["ordinary"]["ticks"] >= 900
         assert 0 <= told["ordinary"]["left_out"] < told["ordinary"]["ticks"]
         assert (told["realtime"] is None) == told["scheduler"].startswith("no ")
@@ -139,5 +139,5 @@ class TestTheProbe:
         assert 0.0 < loopback["round_trip_us"]["p50"] <= loopback["round_trip_us"]["p99"]
         assert 0 < loopback["buffer"]["holds"] <= loopback["buffer"]["of"]
         assert loopback["stamps"] == (sys.platform == "linux")
-        names = [one.name for one in machine.judged(told, machine.realtime(told))]
+        names = [one.name for one in machine.judge(told, machine.realtime(told))]
         assert names == ["timer", "real time", "loopback", "buffer"]

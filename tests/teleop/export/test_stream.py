@@ -15,7 +15,7 @@ import pytest
 
 from teleop import Refused, load_result
 from teleop.export import stream as module
-from teleop.export.stream import LARGEST, Encoder, GrowingRun, stream
+from teleop.export.stream import LARGEST, GrowingRun, RowEncoder, stream
 from teleop.storage.folder import claim
 from tests.teleop.export.conftest import LiveEnd
 from tests.waiting import PATIENCE, until
@@ -179,10 +179,10 @@ def test_of_a_live_run_is_said_once_that_nobody_listens_and_who_listens_later_ge
 def test_rows_that_are_too_long_for_a_datagram_go_in_several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     LiveEnd(tmp_path / "end", "m", range(16)).close()
     (some,) = GrowingRun(tmp_path / "end").take(16)
-    whole, = Encoder(some.end).datagrams(some)
+    whole, = RowEncoder(some.end).datagrams(some)
     assert len(whole) < LARGEST
     monkeypatch.setattr(module, "LARGEST", len(whole) // 3)
-    parts = Encoder(some.end).datagrams(some)
+    parts = RowEncoder(some.end).datagrams(some)
     assert len(parts) == 4
     assert [row for part in parts for row in json.loads(part)] == json.loads(whole)
 
