@@ -35,7 +35,7 @@ HOME = {
     "show": "teleop.terminal.run:show_command",
     "check": "teleop.live.devices.command:command",
     "doctor": "teleop.doctor.command:command",
-    "completion": "teleop.completion.command:command",
+    "completion": "teleop.completion:command",
     "keygen": "teleop.live.options:keygen",
     "report": "teleop.report.command:command",
     "replay": "teleop.live.replay.command:command",
@@ -68,6 +68,10 @@ def leave(code: int) -> int:
 
 def _obey(typed: Sequence[str]) -> int:
     known = parser()
+    if "_ARGCOMPLETE" in os.environ:  # set by a shell that asks for completions
+        from teleop.completion import complete
+
+        complete(known)
     args = known.parse_args(typed)
     if args.do is None:
         from teleop.terminal import screen

@@ -1,0 +1,137 @@
+"""`teleop completion`: what each shell completes at a real terminal, and what the parser's arguments are offered."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import select
+import subprocess
+import sys
+import termios
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from teleop.completion import COMPLETERS, FOLDERS, commands_of
+from teleop.scene.catalogue import find, names
+from teleop.terminal.commands import parser
+from tests.programs import program
+
+pytest.importorskip("argcomplete")
+
+HANGS = 60.0  # s without a byte, after which a shell is taken to hang
+START = {
+    "bash": (["--norc", "-i"], "source {script}; echo READ''Y"),
+    "zsh": (["-f", "-i"], "autoload -U compinit; compinit -u -D; source {script}; echo READ''Y"),
+    "fish": (["--no-config", "-i"], "source {script}; echo READ''Y"),
+}
+COMMAND = """#!/bin/sh
+[ -n "$_ARGCOMPLETE" ] && exec {python} -m teleop "$@"
+echo "TYPED<$*>"
+"""
+
+
+def at_a_terminal(shell: str, script: str, folder: Path, keys: str) -> str:
+    """Return the words that `teleop` gets of a person at a terminal of `shell` who types `keys` and a return."""
+    options, setting_up = START[shell]
+    words = [program(shell), *options]
+    (folder / "script").write_text(script)
+    (folder / "bin").mkdir()
+    command = folder / "bin" / "teleop"
+    command.write_text(COMMAND.format(python=sys.executable))
+    command.chmod(0o755)
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        words, cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509 - without a terminal of its own it leaves
+        env={"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "HOME": str(folder / "bin"), "TERM": "xterm",
+             "LC_ALL": "C.UTF-8", "PS1": "$ ", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+    os.close(theirs)
+    printed = b""
+
+    def until(what: bytes) -> None:
+        nonlocal printed
+        while what not in printed:
+            if not select.select([ours], [], [], HANGS)[0]:
+                raise AssertionError(f"{shell} printed no more than {printed!r}")
+            printed += os.read(ours, 1 << 16)
+
+    try:
+        os.write(ours, setting_up.format(script=folder / "script").encode() + b"\r")
+        until(b"READY")
+        os.write(ours, keys.encode() + b"\r")
+        until(b"TYPED<")
+        until(b">\r\n")
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)
+    return printed.rpartition(b"TYPED<")[2].partition(b">")[0].decode()
+
+
+@pytest.mark.parametrize("shell", FOLDERS)
+@pytest.mark.parametrize(("keys", "words"), [
+    ("teleop stab\tsoft_t\t--crit\tdelay", "stability soft_tissue --critical delay"),
+    ("teleop run hard_w\t--set law=pf\t --set law.alp\t0.2", "run hard_wall --set law=pfra --set law.alpha=0.2"),
+    ("teleop run my_s\t--set scale_x\t1", "run my_scene.py --set scale_x=1"),
+], ids=["commands, scenes, options", "laws and knobs", "files"])
+def test_a_key_press_completes(shell: str, keys: str, words: str, typed: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "my_scene.py").write_text("def scene(): ...")
+    answer = typed("completion", shell)
+    assert answer.code == 0
+    assert FOLDERS[shell].split(",")[0] in answer.out
+    line = at_a_terminal(shell, answer.out, tmp_path, keys)
+    assert " ".join(line.split()) == words
+
+
+@pytest.fixture
+def complete(tmp_path: Path) -> Callable[[str], list[str]]:
+    """`complete(line)`: what a shell is offered at the end of a line."""
+
+    def ask(line: str) -> list[str]:
+        offered = tmp_path / "offered"
+        line = f"teleop {line}"
+        done = subprocess.run(
+            [sys.executable, "-m", "teleop"], cwd=tmp_path, check=False, capture_output=True, text=True,
+            env={**os.environ, "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line,
+                 "COMP_POINT": str(len(line)), "_ARGCOMPLETE_STDOUT_FILENAME": str(offered),
+                 "_ARGCOMPLETE_COMP_WORDBREAKS": "\"'><;|&(", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
+        assert done.returncode == 0, done.stderr
+        return [word.strip() for word in offered.read_text().split("\n") if word.strip()]
+
+    return ask
+
+
+def test_what_is_offered(complete: Callable[[str], list[str]], tmp_path: Path) -> None:
+    (tmp_path / "runs" / "canonical-1").mkdir(parents=True)
+    assert set(commands_of(parser())) <= {*complete("")}
+    assert {*names()["scenes"]} <= {*complete("run ")}
+    scene = next(one for one in find("hard_wall") if one.kind == "scene").knobs
+    assert {*(f"{knob}=" for knob in scene), "playout=", "law.b="} <= {*complete("run hard_wall --set ")}
+    law = next(one for one in find("tdpa") if one.kind == "law").knobs
+    assert complete("run hard_wall --set law=tdpa --set law.") == [f"law.{knob}=" for knob in law]
+    for line, words in {
+        "tune wave --scene hard_wall --set k_": ["k_e="], "demo --set k_": ["k_e="], "run hard_wall --seed ": [],
+        "run hard_wall --format pd": ["pdf"], "run hard_wall --set law=tdp": ["law=tdpa"],
+        "demo --set playout=inte": ["playout=integral"], "sweep canonical --grid law=pfra,tdp": ["law=pfra,tdpa"],
+        "sweep canonical --metrics f_m_max,x_err_r": ["f_m_max,x_err_rms"], "compare --laws wave,dir": ["wave,direct"],
+        "report runs/": ["runs/canonical-1"], "run arm --robot muj": ["mujoco"], "demo --device hap": ["haply"],
+        "check robot muj": ["mujoco"],
+    }.items():
+        assert complete(line) == words, line
+    assert {"metrics", "hard_wall", "wave", "bernoulli"} <= {*complete("list ")}
+
+
+def test_another_shell_is_refused_with_those_there_are(typed: Callable[..., Any]) -> None:
+    typed("completion", "tcsh").assert_refused("there is no shell 'tcsh'")
+
+
+def test_every_completer_is_that_of_an_argument() -> None:
+    """A completer of an option that is gone would stand there for ever."""
+    words = {word for name, each in commands_of(parser()).items() for action in each._actions
+             for word in (*action.option_strings, str(action.metavar), f"{name} {action.metavar}")}
+    assert COMPLETERS.keys() - words <= {"RUN"}
