@@ -89,9 +89,9 @@ def test_every_public_module_class_and_function_has_a_docstring() -> None:
     assert bare == []
 
 
-WEAK_FIRST = {"what", "how", "where", "is", "are", "does", "do", "of", "that", "those", "these", "all", "one", "who", "which",
-              "whether", "has", "may"}  # of a docstring
-VAGUE = {"told", "said", "came", "given", "kept", "asked", "there", "own", "found", "other", "more", "it"}  # of a variable
+WEAK_FIRST = {"what", "how", "where", "is", "are", "does", "do", "of", "that", "those", "these", "all", "one", "who",
+              "which", "whether", "has", "may"}  # words of a docstring
+VAGUE = {"told", "said", "came", "given", "kept", "asked", "there", "own", "found", "other", "more", "it"}  # names
 PARTICIPLE = re.compile(
     r"_?(told|said|came|asked|met|held|given|kept|found|made|shown|known|gone|heard|felt|left|taken|put|read_as|called"
     r"|counted|typed|written|drawn|opened|closed|ended|named|listed|plain|one|each)|.*_(told|said|came|asked|met|given|kept)")
