@@ -29,7 +29,7 @@ def test_a_run_builds_the_slave_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_every_part_is_made_once() -> None:
     prepared = prepare(SCENE)
-    for part in ("bodies", "slaves", "reference", "starts", "given", "loop"):
+    for part in ("bodies", "slaves", "reference", "starts", "numbers", "loop"):
         assert getattr(prepared, part) is getattr(prepared, part)
     assert prepared.bodies.slaves is prepared.slaves
 
