@@ -19,7 +19,7 @@ from channel.effect import Chain, Effect
 from channel.rng import Bools
 from channel.schedule import Arrivals, Stream, arrivals
 from teleop.errors import Refused
-from teleop.naming import PartKind, known, unreadable
+from teleop.naming import PartKind, known_places, unreadable
 
 if TYPE_CHECKING:
     from teleop.scene.parts import LeftOutLike
@@ -97,7 +97,7 @@ class Link:
 
 def known_effects() -> dict[str, str]:
     """Every effect that can be named: `name -> "module:class"`, built in and from plug-ins, none imported."""
-    return known(GROUP, EFFECTS)
+    return known_places(GROUP, EFFECTS)
 
 
 def parse_link(text: str) -> Effect | Chain | Link:

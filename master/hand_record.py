@@ -22,7 +22,7 @@ from teleop.errors import Refused, number_of
 from teleop.scene.axes import MOST_AXES
 from teleop.scene.scene import MOST_TICKS
 from teleop.storage.files import open_regular, read_bytes
-from teleop.storage.strict_json import Misshapen, each, parse, record, text, whole
+from teleop.storage.strict_json import Misshapen, list_of, parse, record, text, whole
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,7 +36,7 @@ LONGEST = 1 << 10  # bytes of a header
 FARTHEST = 1e6  # m, of a place: with more a scene has diverged
 _VERSION = whole(low=VERSION, high=VERSION)
 _HEADER = record({"version": _VERSION, "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=MOST_AXES)})
-_PAGE = record({"version": _VERSION, "parts": each(record({"folder": text, "why": text}),
+_PAGE = record({"version": _VERSION, "parts": list_of(record({"folder": text, "why": text}),
                                                    most=100_000)})
 
 

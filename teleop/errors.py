@@ -30,11 +30,11 @@ class WrongNumber(Refused):
         super().__init__(f"{name} must be {must}, not {shown}; {cure}{more and f' ({more})'}")
         self.name, self.value, self._must, self._example, self._more = name, value, must, example, more
 
-    def called(self, name: str) -> WrongNumber:
+    def with_name(self, name: str) -> WrongNumber:
         """The same refusal with another name of the number, the one under which it was typed."""
         return WrongNumber(name, self.value, self._must, self._example, self._more)
 
-    def explained(self, more: str) -> WrongNumber:
+    def with_note(self, more: str) -> WrongNumber:
         """The same refusal with what the number is and where its range comes from, in brackets at the end."""
         return WrongNumber(self.name, self.value, self._must, self._example, more)
 
@@ -48,7 +48,7 @@ class WrongCount(Refused):
                          "as there are axes")
         self.name, self.value, self._axes = name, value, axes
 
-    def called(self, name: str) -> WrongCount:
+    def with_name(self, name: str) -> WrongCount:
         """The same refusal with another name of the numbers, the one under which they were typed."""
         return WrongCount(name, self.value, self._axes)
 

@@ -18,7 +18,7 @@ from typing import Any
 from teleop.errors import Refused, enumerated, nearest, number_of
 
 
-def known(group: str, built_in: Mapping[str, str]) -> dict[str, str]:
+def known_places(group: str, built_in: Mapping[str, str]) -> dict[str, str]:
     """Places of all parts of a group by name, as `"module:attribute"`; none is imported."""
     from importlib.metadata import entry_points
 
@@ -40,10 +40,10 @@ def find(kind: str, group: str, built_in: Mapping[str, str], name: str) -> Any:
     # The installed packages are looked through only for what is not built in: it costs tens of milliseconds.
     place = built_in.get(name)
     if place is None:
-        places = known(group, built_in)
+        places = known_places(group, built_in)
         if name not in places:
             _offered.cache_clear()  # a package may have been installed since
-            places = known(group, built_in)
+            places = known_places(group, built_in)
         if name not in places:
             raise Refused(f"there is no {kind} {name!r}; {nearest(name, places)}")
         place = places[name]

@@ -16,7 +16,7 @@ from teleop.errors import Refused
 from teleop.kind import totals
 from teleop.law import start_at
 from teleop.law.contract import Method, in_bits
-from teleop.law.offers import Delay, Facts
+from teleop.law.offers import AgeRange, Facts
 from teleop.physics.plant import MassDamper
 from teleop.protocol.packet import Kind, Packet, decode, encode
 from teleop.scene.playout import Zero
@@ -196,7 +196,7 @@ def _facts(dice: Iterator[float]) -> Iterator[Facts]:
     for i in range(20):
         least = [0.2 * next(dice) ** 2 + DT for _ in range(2)]
         spans = [0.0 if i % 2 else 0.1 * next(dice) for _ in range(2)]
-        fwd, bwd = [Delay(low, low + span) for low, span in zip(least, spans, strict=True)]
+        fwd, bwd = [AgeRange(low, low + span) for low, span in zip(least, spans, strict=True)]
         yield Facts(
             dt=DT, axes=1 if i % 3 else 3, fwd=fwd, bwd=bwd, lossy=i % 2 == 0, held=DT * (1 + 9 * (i % 5 == 4)),
             mass_m=2.0 * next(dice) + 0.01, damping_m=2.0 * next(dice), mass_s=5.0 * next(dice) + 0.01,

@@ -107,14 +107,14 @@ class Field(NamedTuple):
     @property
     def names(self) -> tuple[str, ...]:
         """The names of its axes."""
-        return self.labels.named(self.axes)
+        return self.labels.names_for(self.axes)
 
     @property
     def units(self) -> tuple[str, ...]:
         """The unit of each of its numbers."""
         if not self.quantity.axes:
             return (self.quantity.unit,) * self.axes
-        return tuple([unit_on(self.quantity.unit, each) for each in self.labels.in_units(self.axes)])
+        return tuple([unit_on(self.quantity.unit, each) for each in self.labels.units_for(self.axes)])
 
     @property
     def flat(self) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from teleop.errors import Refused
 from teleop.export.columns import TOPICS, Field, Objects, numbers, paths_of
 from teleop.export.stored import LogEntry, Part, all_fields
-from teleop.storage.strict_json import written
+from teleop.storage.strict_json import json_text
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -197,5 +197,6 @@ def _metadata(part: Part) -> dict[str, str]:
     summary = part.summary
     keys = ("scene", "mode", "seed", "dt", "ticks", "status", "sentence", "parameters", "metrics", "notes", "versions",
             "command")
-    texts = {key: value if isinstance(value := summary[key], str) else written(value) for key in keys if key in summary}
+    texts = {key: value if isinstance(value := summary[key], str) else json_text(value)
+             for key in keys if key in summary}
     return {**texts, "time": "nanoseconds since tick 0; the time of day is not recorded"}

@@ -36,7 +36,7 @@ from math import inf, nan
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple, Protocol
 
-from teleop.naming import find, known
+from teleop.naming import find, known_places
 
 
 class At(NamedTuple):
@@ -114,7 +114,7 @@ GROUP = "teleop.laws"  # of entry points
 
 def known_laws() -> dict[str, str]:
     """Places of all laws, built in and of installed packages: `name -> "module:class"`. No law is imported."""
-    return known(GROUP, BUILT_IN)
+    return known_places(GROUP, BUILT_IN)
 
 
 def two_port_laws() -> list[str]:

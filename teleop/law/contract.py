@@ -30,7 +30,7 @@ from weakref import WeakSet
 
 from teleop.errors import Refused, nearest, number_of
 from teleop.law import At, functions_of
-from teleop.law.declarations import Wrong, check_claims, check_names, check_offers, check_waves, shown
+from teleop.law.declarations import Wrong, check_claims, check_names, check_offers, check_waves, short_repr
 
 RETURNS = {
     "master_start": ("state", "message"), "master_sums": ("sums",), "master": ("force", "message", "state"),
@@ -88,7 +88,7 @@ def _probe_two_port(law: Any) -> None:
         method.check_code({"at": At})
     kinds, states, sent = {}, {}, {}
     for end, other in (("master", "slave"), ("slave", "master")):
-        states[end], sent[other] = methods[f"{end}_start"].asked(REST)
+        states[end], sent[other] = methods[f"{end}_start"].probe(REST)
     _declares(law, check_waves, law, sent)
     _declares(law, check_offers, law, states)
     _declares(law, check_names, {"state": [*states.values()], "message": [*sent.values()]})
@@ -103,8 +103,8 @@ def _probe_two_port(law: Any) -> None:
         for end, rx in heard.items():
             given = [states[end], at, rx]
             if f"{end}_sums" in methods:
-                given.append(methods[f"{end}_sums"].asked(*given))
-            _, sent[end], states[end] = methods[end].asked(*given, kinds=kinds[end])
+                given.append(methods[f"{end}_sums"].probe(*given))
+            _, sent[end], states[end] = methods[end].probe(*given, kinds=kinds[end])
 
 
 def _declares(law: Any, check: Callable[..., None], *given: Any) -> None:
@@ -119,11 +119,11 @@ def _probe_one_port(law: Any) -> None:
     start, force = Method(law, "start"), Method(law, "force")
     start.check_code({"at": At})
     force.check_code({"at": At})
-    s = start.asked(REST)
+    s = start.probe(REST)
     kinds = {"state": type(s)}
     force.check_code({"at": At, "s": type(s)})
     for at in SITUATIONS:
-        _, s = force.asked(s, at._replace(fresh=False, age=inf), kinds=kinds)
+        _, s = force.probe(s, at._replace(fresh=False, age=inf), kinds=kinds)
 
 
 class Method(NamedTuple):
@@ -155,13 +155,13 @@ class Method(NamedTuple):
                 refused = self.in_words(error, self.first_line(), f"it is called as {self.name}({given})")
             raise refused from None
 
-    def asked(self, *arguments: Any, kinds: Mapping[str, type] | None = None) -> Any:
+    def probe(self, *arguments: Any, kinds: Mapping[str, type] | None = None) -> Any:
         """The method's answer, judged, and the same when it is called with the same arguments again."""
         before = dict(getattr(self.law, "__dict__", {}))
         answer = self.call(*arguments)
         for name, value in getattr(self.law, "__dict__", {}).items():
             if name not in before or before[name] is not value:
-                raise self.refuse(arguments, f"changes the law, {name}={shown(value)}; {REMEMBER}")
+                raise self.refuse(arguments, f"changes the law, {name}={short_repr(value)}; {REMEMBER}")
         self.judge(arguments, answer, kinds)
         if in_bits(answer) != in_bits(self.call(*arguments)):
             raise self.refuse(arguments, f"answers the same arguments differently the second time; {REMEMBER}")
@@ -275,9 +275,9 @@ def judge_answer(name: str, answer: Any, kinds: Mapping[str, type] | None = None
         raise Wrong(f"returns nothing; write return {', '.join(names)}")
     parts = answer if len(names) > 1 else (answer,)
     if not isinstance(parts, tuple) or (len(parts) != len(names) and hasattr(parts, "_fields")):
-        raise Wrong(f"returns {shown(answer)} of type {type(answer).__name__}; write return {', '.join(names)}")
+        raise Wrong(f"returns {short_repr(answer)} of type {type(answer).__name__}; write return {', '.join(names)}")
     if len(parts) != len(names):
-        raise Wrong(f"returns {number_of(len(parts), 'value')}, {shown(answer)}; write return {', '.join(names)}")
+        raise Wrong(f"returns {number_of(len(parts), 'value')}, {short_repr(answer)}; write return {', '.join(names)}")
     for what, part in zip(names, parts, strict=True):
         _judge_part(what, part, exact=exact)
         kind = None if kinds is None else kinds.get(what)
@@ -285,23 +285,24 @@ def judge_answer(name: str, answer: Any, kinds: Mapping[str, type] | None = None
             raise Wrong(f"returns a {what} of type {type(part).__name__}, but {FIRST[name, what]} one of type "
                         f"{kind.__name__}; use one type throughout")
         if finite and not all(map(isfinite, part if isinstance(part, tuple) else (part,))):
-            raise Wrong(f"returns the {what} {shown(part)} for finite arguments; guard denominators with max(.., eps)")
+            raise Wrong(f"returns the {what} {short_repr(part)} for finite arguments; guard denominators with "
+                        "max(.., eps)")
 
 
 def _judge_part(what: str, part: Any, *, exact: bool) -> None:
     if what == "force":
         if not _is_number(part, exact=exact):
-            raise Wrong(f"returns the force {shown(part)} of type {type(part).__name__}; write it as a float")
+            raise Wrong(f"returns the force {short_repr(part)} of type {type(part).__name__}; write it as a float")
         return
     if what == "state" and type(part) is tuple and not part:
         return
     if not isinstance(part, tuple) or not hasattr(part, "_fields"):
         nothing = " or ()" if what == "state" else ""
-        raise Wrong(f"returns the {what} {shown(part)} of type {type(part).__name__}; make it a NamedTuple of "
+        raise Wrong(f"returns the {what} {short_repr(part)} of type {type(part).__name__}; make it a NamedTuple of "
                     f"floats{nothing}")
     for field, entry in zip(part._fields, part, strict=True):
         if not _is_number(entry, exact=exact):
-            raise Wrong(f"returns the {what} with {field}={shown(entry)} of type {type(entry).__name__}; "
+            raise Wrong(f"returns the {what} with {field}={short_repr(entry)} of type {type(entry).__name__}; "
                         "write it as a float")
 
 

@@ -58,7 +58,7 @@ def check_offers(law: Any, states: Mapping[str, Any]) -> None:
     for end, state in states.items():
         stored = getattr(law, f"{end}_stored", None)
         if stored is not None and not (isinstance(energy := stored(state), float) and isfinite(energy)):
-            raise Wrong(f"returns {shown(energy)} from {end}_stored; return the state's energy in J as a float")
+            raise Wrong(f"returns {short_repr(energy)} from {end}_stored; return the state's energy in J as a float")
     fields = sorted({field for state in states.values() for field in getattr(state, "_fields", ())})
     shows = getattr(law, "shows", ())
     if not isinstance(shows, tuple) or not all(isinstance(field, str) for field in shows):
@@ -77,7 +77,7 @@ def check_names(parts: Mapping[str, Sequence[Any]]) -> None:
                             f"at.{field}, and have it worked out at every tick; give it another name")
 
 
-def shown(value: object) -> str:
+def short_repr(value: object) -> str:
     """A value in one line of a sentence."""
     try:
         text = " ".join(repr(value).split())

@@ -49,7 +49,7 @@ CONDITIONS = {
 }
 
 
-class Delay(NamedTuple):
+class AgeRange(NamedTuple):
     """The age of the newest message that one direction of a link has played, at the ticks from the first one on, s."""
 
     least: float
@@ -65,8 +65,8 @@ class Facts(NamedTuple):
     damping_m: float
     mass_s: float  # of the slave, in the master's units where the scene scales
     damping_s: float
-    fwd: Delay | None  # None: no message was played
-    bwd: Delay | None
+    fwd: AgeRange | None  # None: no message was played
+    bwd: AgeRange | None
     lossy: bool  # a packet was lost
     playout: str  # in gaps: zero, hold, integral, energy or scaled; fixed: at a fixed delay, and zero in gaps
     held: float  # longest time that a force is held, s: dt, and more where ticks are left out

@@ -49,7 +49,7 @@ class Back(NamedTuple):
     f_env: float  # force of the slave on the environment, N
 
 
-class Coupling(NamedTuple):
+class FourChannelEnd(NamedTuple):
     offset: float  # x_m - x_s at which the coupling is slack, m
 
 
@@ -83,20 +83,20 @@ class FourChannel:
     def linear(self) -> FourChannel:
         return replace(self, rejoin=AT_ONCE)
 
-    def master_start(self, at: At) -> tuple[Coupling, Back]:
-        return Coupling(0.0), Back(at.x, 0.0, 0.0)  # until the first message: nothing of the coupling
+    def master_start(self, at: At) -> tuple[FourChannelEnd, Back]:
+        return FourChannelEnd(0.0), Back(at.x, 0.0, 0.0)  # until the first message: nothing of the coupling
 
-    def slave_start(self, at: At) -> tuple[Coupling, Forth]:
-        return Coupling(0.0), Forth(at.x, 0.0, 0.0)
+    def slave_start(self, at: At) -> tuple[FourChannelEnd, Forth]:
+        return FourChannelEnd(0.0), Forth(at.x, 0.0, 0.0)
 
-    def master(self, s: Coupling, at: At, rx: Back) -> tuple[float, Forth, Coupling]:
+    def master(self, s: FourChannelEnd, at: At, rx: Back) -> tuple[float, Forth, FourChannelEnd]:
         apart = at.x - rx.x
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * at.span, 0.0)
         motion = self.K * (apart - offset) + self.B * (at.v - rx.v)
-        return motion + (1.0 + self.C6) * rx.f_env - self.C6 * at.f, Forth(at.x, at.v, at.f), Coupling(offset)
+        return motion + (1.0 + self.C6) * rx.f_env - self.C6 * at.f, Forth(at.x, at.v, at.f), FourChannelEnd(offset)
 
-    def slave(self, s: Coupling, at: At, rx: Forth) -> tuple[float, Back, Coupling]:
+    def slave(self, s: FourChannelEnd, at: At, rx: Forth) -> tuple[float, Back, FourChannelEnd]:
         apart = rx.x - at.x
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * at.span, 0.0)
         motion = self.K * (apart - offset) + self.B * (rx.v - at.v)
-        return motion + (1.0 + self.C5) * rx.f_h - self.C5 * at.f, Back(at.x, at.v, at.f), Coupling(offset)
+        return motion + (1.0 + self.C5) * rx.f_h - self.C5 * at.f, Back(at.x, at.v, at.f), FourChannelEnd(offset)

@@ -45,7 +45,7 @@ class Back(NamedTuple):
     df_s: float  # its derivative, N/s
 
 
-class Slave(NamedTuple):
+class ISSSlave(NamedTuple):
     f_s: float  # N, of the last tick
     offset: float  # x_m - x_s at which the coupling is slack, m
 
@@ -72,15 +72,15 @@ class ISS:
     def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0, 0.0)
 
-    def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(0.0, 0.0), Forth(at.x, 0.0)  # until the first message: stay
+    def slave_start(self, at: At) -> tuple[ISSSlave, Forth]:
+        return ISSSlave(0.0, 0.0), Forth(at.x, 0.0)  # until the first message: stay
 
     def master(self, s: tuple[()], at: At, rx: Back) -> tuple[float, Forth, tuple[()]]:
         return rx.f_s + self.tau * rx.df_s, Forth(at.x, at.v), s
 
-    def slave(self, s: Slave, at: At, rx: Forth) -> tuple[float, Back, Slave]:
+    def slave(self, s: ISSSlave, at: At, rx: Forth) -> tuple[float, Back, ISSSlave]:
         K, mu, span, apart = self.K, self.mu, at.span, rx.x - at.x
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * span, 0.0)
         B = self.B / (mu * span)
         f_s = (K * (apart - offset) + self.B * (rx.v - at.v) + B * s.f_s) / (1.0 + K / mu + B)
-        return f_s, Back(at.gain * f_s, at.gain * ((f_s - s.f_s) / span)), Slave(f_s, offset)
+        return f_s, Back(at.gain * f_s, at.gain * ((f_s - s.f_s) / span)), ISSSlave(f_s, offset)

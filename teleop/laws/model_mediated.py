@@ -63,12 +63,12 @@ class Back(NamedTuple):
     side: float  # 1 or -1: the direction in which it is pressed; 0 before the first contact
 
 
-class Master(NamedTuple):
+class ModelMediatedMaster(NamedTuple):
     stored: float  # energy of the spring and of the tank, J
     k: float  # stiffness as rendered, N/m
 
 
-class Slave(NamedTuple):
+class ModelMediatedSlave(NamedTuple):
     touching: float  # 1 in contact, else 0
     x_c: float  # place of contact, m
     k: float  # N/m
@@ -106,20 +106,20 @@ class ModelMediated:
     def linear(self) -> ModelHeld:
         return ModelHeld(K=self.K, B=self.B, B_m=self.B_m, k=self.k_0)
 
-    def master_start(self, at: At) -> tuple[Master, Back]:
-        return Master(0.0, 0.0), Back(0.0, at.x, 0.0)
+    def master_start(self, at: At) -> tuple[ModelMediatedMaster, Back]:
+        return ModelMediatedMaster(0.0, 0.0), Back(0.0, at.x, 0.0)
 
-    def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(0.0, at.x, self.k_0, 0.0, 0.0, P_K, 0.0, P_C, 0.0), Forth(at.x, 0.0)
+    def slave_start(self, at: At) -> tuple[ModelMediatedSlave, Forth]:
+        return ModelMediatedSlave(0.0, at.x, self.k_0, 0.0, 0.0, P_K, 0.0, P_C, 0.0), Forth(at.x, 0.0)
 
-    def master(self, s: Master, at: At, rx: Back) -> tuple[float, Forth, Master]:
+    def master(self, s: ModelMediatedMaster, at: At, rx: Back) -> tuple[float, Forth, ModelMediatedMaster]:
         E = s.stored + at.f_held * at.dx
         p = max(rx.side * (at.x - rx.x_0), 0.0)
         k = min(rx.k, 2.0 * max(E, 0.0) / max(p * p, TINY))
         E = min(E, 0.5 * k * p * p + self.E_max)
-        return rx.side * k * p + self.B_m * at.v, Forth(at.x, at.v), Master(E, k)
+        return rx.side * k * p + self.B_m * at.v, Forth(at.x, at.v), ModelMediatedMaster(E, k)
 
-    def slave(self, s: Slave, at: At, rx: Forth) -> tuple[float, Back, Slave]:
+    def slave(self, s: ModelMediatedSlave, at: At, rx: Forth) -> tuple[float, Back, ModelMediatedSlave]:
         x, f, lam = at.x, at.f, self.forget
         now = 1.0 * (max(f, -f) > self.touch)
         begin = now * (1.0 - s.touching)
@@ -144,7 +144,7 @@ class ModelMediated:
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * at.span, 0.0)
         f_s = self.K * (apart - offset) + self.B * (rx.v - at.v)
         sent = Back(max(k, 0.0), x_c - c / max(k, LEAST_K), side)
-        return f_s, sent, Slave(now, x_c, k, c, side, p11, p12, p22, offset)
+        return f_s, sent, ModelMediatedSlave(now, x_c, k, c, side, p11, p12, p22, offset)
 
 
 @dataclass(frozen=True, kw_only=True)

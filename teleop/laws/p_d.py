@@ -41,7 +41,7 @@ class Back(NamedTuple):
     x: kind.Position  # the slave's, m
 
 
-class Coupling(NamedTuple):
+class PDampedEnd(NamedTuple):
     offset: float  # x_m - x_s at which the coupling is slack, m
 
 
@@ -68,18 +68,18 @@ class PDamped:
     def linear(self) -> PDamped:
         return replace(self, rejoin=AT_ONCE)
 
-    def master_start(self, at: At) -> tuple[Coupling, Back]:
-        return Coupling(0.0), Back(at.x)  # until the first message: no spring force
+    def master_start(self, at: At) -> tuple[PDampedEnd, Back]:
+        return PDampedEnd(0.0), Back(at.x)  # until the first message: no spring force
 
-    def slave_start(self, at: At) -> tuple[Coupling, Forth]:
-        return Coupling(0.0), Forth(at.x)
+    def slave_start(self, at: At) -> tuple[PDampedEnd, Forth]:
+        return PDampedEnd(0.0), Forth(at.x)
 
-    def master(self, s: Coupling, at: At, rx: Back) -> tuple[float, Forth, Coupling]:
+    def master(self, s: PDampedEnd, at: At, rx: Back) -> tuple[float, Forth, PDampedEnd]:
         apart = at.x - rx.x
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * at.span, 0.0)
-        return self.K * (apart - offset) + self.B * at.v, Forth(at.x), Coupling(offset)
+        return self.K * (apart - offset) + self.B * at.v, Forth(at.x), PDampedEnd(offset)
 
-    def slave(self, s: Coupling, at: At, rx: Forth) -> tuple[float, Back, Coupling]:
+    def slave(self, s: PDampedEnd, at: At, rx: Forth) -> tuple[float, Back, PDampedEnd]:
         apart = rx.x - at.x
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * at.span, 0.0)
-        return self.K * (apart - offset) - self.B * at.v, Back(at.x), Coupling(offset)
+        return self.K * (apart - offset) - self.B * at.v, Back(at.x), PDampedEnd(offset)

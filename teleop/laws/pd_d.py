@@ -45,7 +45,7 @@ class Back(NamedTuple):
     v: float  # the slave's velocity, m/s
 
 
-class Coupling(NamedTuple):
+class PDDampedEnd(NamedTuple):
     offset: float  # x_m - x_s at which the coupling is slack, m
 
 
@@ -74,20 +74,20 @@ class PDDamped:
     def linear(self) -> PDDamped:
         return replace(self, rejoin=AT_ONCE)
 
-    def master_start(self, at: At) -> tuple[Coupling, Back]:
-        return Coupling(0.0), Back(at.x, 0.0)  # until the first message: no spring force
+    def master_start(self, at: At) -> tuple[PDDampedEnd, Back]:
+        return PDDampedEnd(0.0), Back(at.x, 0.0)  # until the first message: no spring force
 
-    def slave_start(self, at: At) -> tuple[Coupling, Forth]:
-        return Coupling(0.0), Forth(at.x, 0.0)
+    def slave_start(self, at: At) -> tuple[PDDampedEnd, Forth]:
+        return PDDampedEnd(0.0), Forth(at.x, 0.0)
 
-    def master(self, s: Coupling, at: At, rx: Back) -> tuple[float, Forth, Coupling]:
+    def master(self, s: PDDampedEnd, at: At, rx: Back) -> tuple[float, Forth, PDDampedEnd]:
         apart = at.x - rx.x
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * at.span, 0.0)
         f_m = self.K * (apart - offset) + self.K_d * (at.v - rx.v) + self.B * at.v
-        return f_m, Forth(at.x, at.v), Coupling(offset)
+        return f_m, Forth(at.x, at.v), PDDampedEnd(offset)
 
-    def slave(self, s: Coupling, at: At, rx: Forth) -> tuple[float, Back, Coupling]:
+    def slave(self, s: PDDampedEnd, at: At, rx: Forth) -> tuple[float, Back, PDDampedEnd]:
         apart = rx.x - at.x
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * at.span, 0.0)
         f_s = self.K * (apart - offset) + self.K_d * (rx.v - at.v) - self.B * at.v
-        return f_s, Back(at.x, at.v), Coupling(offset)
+        return f_s, Back(at.x, at.v), PDDampedEnd(offset)

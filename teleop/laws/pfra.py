@@ -74,7 +74,7 @@ class Back(NamedTuple):
     f_env: float  # force of the slave on the environment, N
 
 
-class Sums(NamedTuple):
+class PFRASums(NamedTuple):
     eh: float  # <F, f_h>, N^2
     hh: float  # |f_h|^2, N^2
     ee: float  # |F|^2, N^2
@@ -115,11 +115,11 @@ class PFRA:
     def slave_start(self, at: At) -> tuple[tuple[()], Forth]:
         return (), Forth(at.x, 0.0)  # until the first message: stay
 
-    def master_sums(self, s: tuple[()], at: At, rx: Back) -> Sums:
+    def master_sums(self, s: tuple[()], at: At, rx: Back) -> PFRASums:
         F = self.kf * rx.f_env
-        return Sums(F * at.f, at.f * at.f, F * F, at.v * at.v)
+        return PFRASums(F * at.f, at.f * at.f, F * F, at.v * at.v)
 
-    def master(self, s: tuple[()], at: At, rx: Back, over: Sums) -> tuple[float, Forth, tuple[()]]:
+    def master(self, s: tuple[()], at: At, rx: Back, over: PFRASums) -> tuple[float, Forth, tuple[()]]:
         alpha, F = self.alpha, self.kf * rx.f_env
         q = over.eh / max(over.hh, EPS)
         share = max(0.0, min(q, 1.0))

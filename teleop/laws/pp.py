@@ -42,7 +42,7 @@ class Back(NamedTuple):
     v: float  # the slave's velocity, m/s
 
 
-class Coupling(NamedTuple):
+class PositionPositionEnd(NamedTuple):
     offset: float  # x_m - x_s at which the coupling is slack, m
 
 
@@ -67,18 +67,18 @@ class PositionPosition:
     def linear(self) -> PositionPosition:
         return replace(self, rejoin=AT_ONCE)
 
-    def master_start(self, at: At) -> tuple[Coupling, Back]:
-        return Coupling(0.0), Back(at.x, 0.0)  # until the first message: no force
+    def master_start(self, at: At) -> tuple[PositionPositionEnd, Back]:
+        return PositionPositionEnd(0.0), Back(at.x, 0.0)  # until the first message: no force
 
-    def slave_start(self, at: At) -> tuple[Coupling, Forth]:
-        return Coupling(0.0), Forth(at.x, 0.0)
+    def slave_start(self, at: At) -> tuple[PositionPositionEnd, Forth]:
+        return PositionPositionEnd(0.0), Forth(at.x, 0.0)
 
-    def master(self, s: Coupling, at: At, rx: Back) -> tuple[float, Forth, Coupling]:
+    def master(self, s: PositionPositionEnd, at: At, rx: Back) -> tuple[float, Forth, PositionPositionEnd]:
         apart = at.x - rx.x
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * at.span, 0.0)
-        return self.K * (apart - offset) + self.B * (at.v - rx.v), Forth(at.x, at.v), Coupling(offset)
+        return self.K * (apart - offset) + self.B * (at.v - rx.v), Forth(at.x, at.v), PositionPositionEnd(offset)
 
-    def slave(self, s: Coupling, at: At, rx: Forth) -> tuple[float, Back, Coupling]:
+    def slave(self, s: PositionPositionEnd, at: At, rx: Forth) -> tuple[float, Back, PositionPositionEnd]:
         apart = rx.x - at.x
         offset = (s.offset + (1.0 - at.gain) * (apart - s.offset)) * max(1.0 - self.rejoin * at.span, 0.0)
-        return self.K * (apart - offset) + self.B * (rx.v - at.v), Back(at.x, at.v), Coupling(offset)
+        return self.K * (apart - offset) + self.B * (rx.v - at.v), Back(at.x, at.v), PositionPositionEnd(offset)

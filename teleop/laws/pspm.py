@@ -60,14 +60,14 @@ class Back(NamedTuple):
     S: kind.Total  # energy that the slave has sent, J
 
 
-class End(NamedTuple):
+class PSPMEnd(NamedTuple):
     y: kind.Position  # set point, m
     T: float  # energy kept, that of the spring included, J; the same in each axis, as S and seen are
     S: float  # energy sent, J
     seen: float  # what has been dealt with of the other end's S, J
 
 
-class Sums(NamedTuple):
+class PSPMSums(NamedTuple):
     w: float  # work done on this end over the last tick, J
     ee: float  # |x - y|^2, m^2
     aa: float  # |x_rx - x|^2, m^2
@@ -106,40 +106,40 @@ class PSPM:
         return replace(self, B_m=min(self.B_m, 2.0 * facts.mass_m / facts.held),
                        B_s=min(self.B_s, 2.0 * facts.mass_s / facts.held))
 
-    def master_start(self, at: At) -> tuple[End, Back]:
-        return End(at.x, self.E_0, 0.0, 0.0), Back(at.x, 0.0)  # until the first message: stay
+    def master_start(self, at: At) -> tuple[PSPMEnd, Back]:
+        return PSPMEnd(at.x, self.E_0, 0.0, 0.0), Back(at.x, 0.0)  # until the first message: stay
 
-    def slave_start(self, at: At) -> tuple[End, Forth]:
-        return End(at.x, self.E_0, 0.0, 0.0), Forth(at.x, 0.0)
+    def slave_start(self, at: At) -> tuple[PSPMEnd, Forth]:
+        return PSPMEnd(at.x, self.E_0, 0.0, 0.0), Forth(at.x, 0.0)
 
-    def master_stored(self, s: End) -> float:
+    def master_stored(self, s: PSPMEnd) -> float:
         return s.T + (s.S - s.seen)
 
-    def slave_stored(self, s: End) -> float:
+    def slave_stored(self, s: PSPMEnd) -> float:
         return s.T + (s.S - s.seen)
 
-    def master_sums(self, s: End, at: At, rx: Back) -> Sums:
+    def master_sums(self, s: PSPMEnd, at: At, rx: Back) -> PSPMSums:
         e, a = at.x - s.y, rx.x - at.x
-        return Sums(at.f_held * at.dx, e * e, a * a)
+        return PSPMSums(at.f_held * at.dx, e * e, a * a)
 
-    def master(self, s: End, at: At, rx: Back, over: Sums) -> tuple[float, Forth, End]:
-        s = modulated(self.K, self.E_max, s, at.x, rx.x, rx.S, over)
+    def master(self, s: PSPMEnd, at: At, rx: Back, over: PSPMSums) -> tuple[float, Forth, PSPMEnd]:
+        s = modulate(self.K, self.E_max, s, at.x, rx.x, rx.S, over)
         return self.K * (at.x - s.y) + self.B_m * at.v, Forth(at.x, s.S), s
 
-    def slave_sums(self, s: End, at: At, rx: Forth) -> Sums:
+    def slave_sums(self, s: PSPMEnd, at: At, rx: Forth) -> PSPMSums:
         e, a = at.x - s.y, rx.x - at.x
-        return Sums(-at.f_held * at.dx, e * e, a * a)
+        return PSPMSums(-at.f_held * at.dx, e * e, a * a)
 
-    def slave(self, s: End, at: At, rx: Forth, over: Sums) -> tuple[float, Back, End]:
-        s = modulated(self.K, self.E_max, s, at.x, rx.x, rx.S, over)
+    def slave(self, s: PSPMEnd, at: At, rx: Forth, over: PSPMSums) -> tuple[float, Back, PSPMEnd]:
+        s = modulate(self.K, self.E_max, s, at.x, rx.x, rx.S, over)
         return self.K * (s.y - at.x) - self.B_s * at.v, Back(at.x, s.S), s
 
 
-def modulated(K: float, E_max: float, s: End, x: float, x_rx: float, came: float, over: Sums) -> End:
+def modulate(K: float, E_max: float, s: PSPMEnd, x: float, x_rx: float, came: float, over: PSPMSums) -> PSPMEnd:
     """The end, its set point moved towards x_rx (m) as far as the energy goes; `came` (J): S of the newest message."""
     T = s.T + over.w
     E = T - 0.5 * K * over.ee
     T = T + min(came - s.seen, max(E_max - E, 0.0))
     go = sqrt(min(2.0 * max(T, 0.0) / max(K * over.aa, TINY), 1.0))  # the share of the way that the set point goes
     gives = max(T - 0.5 * K * (go * go * over.aa) - E_max, 0.0)
-    return End(x + go * (x_rx - x), T - gives, s.S + gives, came)
+    return PSPMEnd(x + go * (x_rx - x), T - gives, s.S + gives, came)

@@ -94,13 +94,13 @@ class Back(NamedTuple):
     E: kind.Total  # energy that the slave has taken in, J
 
 
-class Master(NamedTuple):
+class TDPAMaster(NamedTuple):
     G: float  # energy that may be given out, J; the same in each axis, as the others are
     E: float  # energy taken in, J
     seen: float  # the other end's E so far, J
 
 
-class Slave(NamedTuple):
+class TDPASlave(NamedTuple):
     G: float
     E: float
     seen: float
@@ -110,13 +110,13 @@ class Slave(NamedTuple):
     C: float  # energy that went into the coupling and has not come out of it, J; the same in each axis
 
 
-class MasterSums(NamedTuple):
+class TDPAMasterSums(NamedTuple):
     w: float  # work done on the master over the last tick, J
     fv: float  # power that the reflected force would take out, less than 0 where it pushes, W
     vv: float  # the square of the velocity, m^2/s^2
 
 
-class SlaveSums(NamedTuple):
+class TDPASlaveSums(NamedTuple):
     asked: float  # work of the force that was asked for on the commanded point's way, over the last tick, J
     held: float  # of the force that was held, J
     out: float  # of the force that was held on the slave's own way, J
@@ -163,42 +163,42 @@ class TDPA:
         return (*([coupling] if least > self.B else []), *([damper] if self.alpha_max > most else []),
                 *([held] if self.B * facts.held > facts.mass_s else []))
 
-    def master_start(self, at: At) -> tuple[Master, Back]:
-        return Master(0.0, 0.0, 0.0), Back(0.0, 0.0)
+    def master_start(self, at: At) -> tuple[TDPAMaster, Back]:
+        return TDPAMaster(0.0, 0.0, 0.0), Back(0.0, 0.0)
 
-    def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(self.E0, 0.0, 0.0, at.x, 0.0, 0.0, 0.0), Forth(at.x, 0.0, 0.0)  # until the first message: stay
+    def slave_start(self, at: At) -> tuple[TDPASlave, Forth]:
+        return TDPASlave(self.E0, 0.0, 0.0, at.x, 0.0, 0.0, 0.0), Forth(at.x, 0.0, 0.0)  # until the first message: stay
 
-    def master_stored(self, s: Master) -> float:
+    def master_stored(self, s: TDPAMaster) -> float:
         return s.G + self.debt + (s.E - s.seen)
 
-    def slave_stored(self, s: Slave) -> float:
+    def slave_stored(self, s: TDPASlave) -> float:
         return s.G + (s.E - s.seen)
 
-    def master_sums(self, s: Master, at: At, rx: Back) -> MasterSums:
-        return MasterSums(at.f_held * at.dx, rx.f_s * at.v, at.v * at.v)
+    def master_sums(self, s: TDPAMaster, at: At, rx: Back) -> TDPAMasterSums:
+        return TDPAMasterSums(at.f_held * at.dx, rx.f_s * at.v, at.v * at.v)
 
-    def master(self, s: Master, at: At, rx: Back, over: MasterSums) -> tuple[float, Forth, Master]:
-        G, E = observed(s.G, s.E, rx.E - s.seen, over.w, self.store)
+    def master(self, s: TDPAMaster, at: At, rx: Back, over: TDPAMasterSums) -> tuple[float, Forth, TDPAMaster]:
+        G, E = observe(s.G, s.E, rx.E - s.seen, over.w, self.store)
         dt = at.dt
         takes = min(max(-G, 0.0) / (dt * max(over.vv, self.v_min * self.v_min)), self.alpha_max)
         paid = (over.fv < 0.0) * max(G, 0.0) + (over.fv >= 0.0) * FREE
         f = rx.f_s * min(paid / max(dt * abs(over.fv), TINY), 1.0)
         most, owes_little = self.alpha_max * at.v, FREE * (self.debt + G >= 0.0)
         f_m = max(min(most, 0.0) - owes_little, min(f, max(most, 0.0) + owes_little)) + takes * at.v
-        return f_m, Forth(at.x, at.v, E), Master(G, E, rx.E)
+        return f_m, Forth(at.x, at.v, E), TDPAMaster(G, E, rx.E)
 
-    def slave_sums(self, s: Slave, at: At, rx: Forth) -> SlaveSums:
+    def slave_sums(self, s: TDPASlave, at: At, rx: Forth) -> TDPASlaveSums:
         dt, step, along = at.dt, at.dt * s.v_d, at.dx * (1.0 - at.dt / at.span)
         x_d, f_0, c = commanded(self.K, self.B, self.drift, s.x_d + along, at.x, at.v, rx.x, rx.v, at.gain)
         off, e, done = f_0 + 2.0 * (self.B + self.K * dt) * c, x_d - at.x, at.f_held * along
-        return SlaveSums(s.f_d * step + done, at.f_held * step + done, at.f_held * at.dx, 0.5 * self.K * e * e,
+        return TDPASlaveSums(s.f_d * step + done, at.f_held * step + done, at.f_held * at.dx, 0.5 * self.K * e * e,
                          f_0 * f_0, off * off, at.v * at.v)
 
-    def slave(self, s: Slave, at: At, rx: Forth, over: SlaveSums) -> tuple[float, Back, Slave]:
+    def slave(self, s: TDPASlave, at: At, rx: Forth, over: TDPASlaveSums) -> tuple[float, Back, TDPASlave]:
         spent = max(over.asked, over.held)
         C = s.C + (spent - over.out)
-        G, E = observed(s.G, s.E, rx.E - s.seen, min(C, 0.0) - spent, self.store + self.E0)
+        G, E = observe(s.G, s.E, rx.E - s.seen, min(C, 0.0) - spent, self.store + self.E0)
         C = min(max(C, 0.0), self.store + over.P)
         dt, z = at.dt, self.B + self.K * at.dt
         x_d = s.x_d + at.dx * (1.0 - dt / at.span)
@@ -210,10 +210,10 @@ class TDPA:
         beyond = max(beyond, (G < 0.0) * (over.held > over.asked + NEARLY * abs(over.asked)))
         v_d = c - beyond * (c + 0.5 * f_0 / z)
         f_s = f_0 + z * v_d
-        return f_s, Back(at.gain * f_s, E), Slave(G, E, rx.E, x_d + dt * v_d, v_d, f_s, C)
+        return f_s, Back(at.gain * f_s, E), TDPASlave(G, E, rx.E, x_d + dt * v_d, v_d, f_s, C)
 
 
-def observed(G: float, E: float, came: float, w: float, most: float) -> tuple[float, float]:
+def observe(G: float, E: float, came: float, w: float, most: float) -> tuple[float, float]:
     """What may be given out and what was taken in (J), after the work w and with what came of the other end's."""
     G = min(G - max(-w, 0.0), most) + came
     paid = min(max(-G, 0.0), max(w, 0.0))

@@ -70,7 +70,7 @@ class Tank(NamedTuple):
     seen: float  # what it has taken of the other end's S, J
 
 
-class Sums(NamedTuple):
+class TwoLayerSums(NamedTuple):
     w: float  # work done on this end over the last tick, J
     ff: float  # the square of the force that is asked for, N^2
     vv: float  # the square of the velocity, m^2/s^2
@@ -126,21 +126,21 @@ class TwoLayer:
     def slave_stored(self, s: Tank) -> float:
         return s.H + (s.S - s.seen)
 
-    def master_sums(self, s: Tank, at: At, rx: Back) -> Sums:
-        return Sums(at.f_held * at.dx, rx.f_s * rx.f_s, at.v * at.v)
+    def master_sums(self, s: Tank, at: At, rx: Back) -> TwoLayerSums:
+        return TwoLayerSums(at.f_held * at.dx, rx.f_s * rx.f_s, at.v * at.v)
 
-    def master(self, s: Tank, at: At, rx: Back, over: Sums) -> tuple[float, Forth, Tank]:
-        H, S = exchanged(self.beta, self.H_max, s, rx.S, over.w, at.span / at.dt)
+    def master(self, s: Tank, at: At, rx: Back, over: TwoLayerSums) -> tuple[float, Forth, Tank]:
+        H, S = exchange(self.beta, self.H_max, s, rx.S, over.w, at.span / at.dt)
         f_m = rx.f_s * share(self.f_max, self.k, H, over.ff, over.vv, at.dt)
         f_m = f_m + min(self.alpha * max(self.H_d - H, 0.0), self.d_max) * at.v
         return f_m, Forth(at.x, at.v, S), Tank(H, S, rx.S)
 
-    def slave_sums(self, s: Tank, at: At, rx: Forth) -> Sums:
+    def slave_sums(self, s: Tank, at: At, rx: Forth) -> TwoLayerSums:
         f = self.K * (rx.x - at.x) + self.B * (rx.v - at.v)
-        return Sums(-at.f_held * at.dx, f * f, at.v * at.v)
+        return TwoLayerSums(-at.f_held * at.dx, f * f, at.v * at.v)
 
-    def slave(self, s: Tank, at: At, rx: Forth, over: Sums) -> tuple[float, Back, Tank]:
-        H, S = exchanged(self.beta, self.H_max, s, rx.S, over.w, at.span / at.dt)
+    def slave(self, s: Tank, at: At, rx: Forth, over: TwoLayerSums) -> tuple[float, Back, Tank]:
+        H, S = exchange(self.beta, self.H_max, s, rx.S, over.w, at.span / at.dt)
         f = self.K * (rx.x - at.x) + self.B * (rx.v - at.v)
         f_s = f * share(self.f_max, self.k, H, over.ff, over.vv, at.dt)
         return f_s, Back(at.gain * f_s, S), Tank(H, S, rx.S)
@@ -152,7 +152,7 @@ def even_share(facts: Facts) -> float:
     return min(facts.dt / max(delay, facts.dt), 1.0)
 
 
-def exchanged(beta: float, H_max: float, s: Tank, came: float, w: float, ticks: float) -> tuple[float, float]:
+def exchange(beta: float, H_max: float, s: Tank, came: float, w: float, ticks: float) -> tuple[float, float]:
     """Tank and energy sent (J) after the work w was done on it and all that came by now is in it."""
     H = min(s.H + w + (came - s.seen), H_max)
     gives = min(beta * ticks, 1.0) * max(H, 0.0)

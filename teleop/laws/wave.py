@@ -58,7 +58,7 @@ class Back(NamedTuple):
     w: kind.Wave  # returning, sqrt(W)
 
 
-class Slave(NamedTuple):
+class WaveSlave(NamedTuple):
     x_d: kind.Position  # commanded point, m
     v_d: float = 0.0  # its velocity, m/s
 
@@ -79,8 +79,8 @@ class Wave:
     def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0)
 
-    def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(at.x, 0.0), Forth(0.0)  # compiled code fills in no default
+    def slave_start(self, at: At) -> tuple[WaveSlave, Forth]:
+        return WaveSlave(at.x, 0.0), Forth(0.0)  # compiled code fills in no default
 
     def master(self, s: tuple[()], at: At, rx: Back) -> tuple[float, Forth, tuple[()]]:
         v = at.v
@@ -88,7 +88,7 @@ class Wave:
         root = sqrt(2.0 * self.b)
         return self.b * v - root * w, Forth(root * v - w), s
 
-    def slave(self, s: Slave, at: At, rx: Forth) -> tuple[float, Back, Slave]:
+    def slave(self, s: WaveSlave, at: At, rx: Forth) -> tuple[float, Back, WaveSlave]:
         b, K, B, x, v, dt = self.b, self.K, self.B, at.x, at.v, at.dt
         u = rx.u * at.fresh
         root = sqrt(2.0 * b)
@@ -98,4 +98,4 @@ class Wave:
         x_d = x_d + dt * v_d
         f_s = K * (x_d - x) + B * (v_d - v)
         # The force is the same as root*u - b*v_d, which cancels at large K.
-        return f_s, Back(u - 2.0 / root * (g * f_s + (1.0 - g) * b * v_d)), Slave(x_d, v_d)
+        return f_s, Back(u - 2.0 / root * (g * f_s + (1.0 - g) * b * v_d)), WaveSlave(x_d, v_d)

@@ -48,12 +48,12 @@ class Back(NamedTuple):
     w: kind.Wave  # returning, sqrt(W)
 
 
-class Master(NamedTuple):
+class WaveFilterMaster(NamedTuple):
     y: float  # the filtered wave, sqrt(W)
     r: float  # the received one, sqrt(W)
 
 
-class Slave(NamedTuple):
+class WaveFilterSlave(NamedTuple):
     y: float  # the filtered wave, sqrt(W)
     r: float  # the received one, sqrt(W)
     x_d: kind.Position  # commanded point, m
@@ -75,19 +75,19 @@ class WaveFilter:
     def __post_init__(self) -> None:
         check_knobs(self)
 
-    def master_start(self, at: At) -> tuple[Master, Back]:
-        return Master(0.0, 0.0), Back(0.0)
+    def master_start(self, at: At) -> tuple[WaveFilterMaster, Back]:
+        return WaveFilterMaster(0.0, 0.0), Back(0.0)
 
-    def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(0.0, 0.0, at.x, 0.0), Forth(0.0)
+    def slave_start(self, at: At) -> tuple[WaveFilterSlave, Forth]:
+        return WaveFilterSlave(0.0, 0.0, at.x, 0.0), Forth(0.0)
 
-    def master(self, s: Master, at: At, rx: Back) -> tuple[float, Forth, Master]:
+    def master(self, s: WaveFilterMaster, at: At, rx: Back) -> tuple[float, Forth, WaveFilterMaster]:
         r = rx.w * at.fresh
         w = low_pass(s.y, s.r, r, 2.0 * pi * self.f_c, at.dt, at.span - at.dt)
         root = sqrt(2.0 * self.b)
-        return self.b * at.v - root * w, Forth(root * at.v - w), Master(w, r)
+        return self.b * at.v - root * w, Forth(root * at.v - w), WaveFilterMaster(w, r)
 
-    def slave(self, s: Slave, at: At, rx: Forth) -> tuple[float, Back, Slave]:
+    def slave(self, s: WaveFilterSlave, at: At, rx: Forth) -> tuple[float, Back, WaveFilterSlave]:
         b, K, B, x, v, dt, g = self.b, self.K, self.B, at.x, at.v, at.dt, at.gain
         r = rx.u * at.fresh
         u = low_pass(s.y, s.r, r, 2.0 * pi * self.f_c, dt, at.span - dt)
@@ -97,7 +97,7 @@ class WaveFilter:
         x_d = x_d + dt * v_d
         f_s = K * (x_d - x) + B * (v_d - v)
         w = u - 2.0 / root * (g * f_s + (1.0 - g) * b * v_d)
-        return f_s, Back(w), Slave(u, r, x_d, v_d)
+        return f_s, Back(w), WaveFilterSlave(u, r, x_d, v_d)
 
 
 def low_pass(y: float, r_was: float, r: float, l: float, dt: float, gap: float) -> float:  # noqa: E741 - the book's name

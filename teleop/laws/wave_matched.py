@@ -54,7 +54,7 @@ class Back(NamedTuple):
     w: kind.Wave  # returning, sqrt(W)
 
 
-class Point(NamedTuple):
+class WaveMatchedEnd(NamedTuple):
     x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
 
@@ -72,13 +72,13 @@ class WaveMatched:
     def __post_init__(self) -> None:
         check_knobs(self)
 
-    def master_start(self, at: At) -> tuple[Point, Back]:
-        return Point(at.x, 0.0), Back(0.0)
+    def master_start(self, at: At) -> tuple[WaveMatchedEnd, Back]:
+        return WaveMatchedEnd(at.x, 0.0), Back(0.0)
 
-    def slave_start(self, at: At) -> tuple[Point, Forth]:
-        return Point(at.x, 0.0), Forth(0.0)
+    def slave_start(self, at: At) -> tuple[WaveMatchedEnd, Forth]:
+        return WaveMatchedEnd(at.x, 0.0), Forth(0.0)
 
-    def master(self, s: Point, at: At, rx: Back) -> tuple[float, Forth, Point]:
+    def master(self, s: WaveMatchedEnd, at: At, rx: Back) -> tuple[float, Forth, WaveMatchedEnd]:
         b, K, x, v, dt, g = self.b, self.K, at.x, at.v, at.dt, at.gain
         w = rx.w * at.fresh
         root = sqrt(2.0 * b)
@@ -86,13 +86,13 @@ class WaveMatched:
         x_d = x_d - (1.0 - g) * (x_d - x)
         v_d = (root * w + g * (K * (x - x_d) + b * v)) / ((2.0 - g) * b + g * (b + K * dt))
         x_d = x_d + dt * v_d
-        return K * (x - x_d) + b * (v - v_d), Forth(root * v_d - w), Point(x_d, v_d)
+        return K * (x - x_d) + b * (v - v_d), Forth(root * v_d - w), WaveMatchedEnd(x_d, v_d)
 
-    def slave(self, s: Point, at: At, rx: Forth) -> tuple[float, Back, Point]:
+    def slave(self, s: WaveMatchedEnd, at: At, rx: Forth) -> tuple[float, Back, WaveMatchedEnd]:
         b, K, x, v, dt, g = self.b, self.K, at.x, at.v, at.dt, at.gain
         u = rx.u * at.fresh
         root = sqrt(2.0 * b)
         x_d = s.x_d + (at.span - dt) * s.v_d
         v_d = (root * u - g * (K * (x_d - x) - b * v)) / ((2.0 - g) * b + g * (b + K * dt))
         x_d = x_d + dt * v_d
-        return K * (x_d - x) + b * (v_d - v), Back(root * v_d - u), Point(x_d, v_d)
+        return K * (x_d - x) + b * (v_d - v), Back(root * v_d - u), WaveMatchedEnd(x_d, v_d)

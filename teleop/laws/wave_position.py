@@ -65,7 +65,7 @@ class Back(NamedTuple):
     x: kind.Position  # the slave's, m
 
 
-class Slave(NamedTuple):
+class WavePositionSlave(NamedTuple):
     x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
 
@@ -88,8 +88,8 @@ class WavePosition:
     def master_start(self, at: At) -> tuple[tuple[()], Back]:
         return (), Back(0.0, at.x)  # until the first message: the other end is where this one is
 
-    def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(at.x, 0.0), Forth(0.0, at.x)
+    def slave_start(self, at: At) -> tuple[WavePositionSlave, Forth]:
+        return WavePositionSlave(at.x, 0.0), Forth(0.0, at.x)
 
     def master(self, s: tuple[()], at: At, rx: Back) -> tuple[float, Forth, tuple[()]]:
         x, v = at.x, at.v
@@ -98,7 +98,7 @@ class WavePosition:
         f_m = self.b * v - root * w + (self.K_p * (x - rx.x) + self.B_p * v)
         return f_m, Forth(root * v - w, x), s
 
-    def slave(self, s: Slave, at: At, rx: Forth) -> tuple[float, Back, Slave]:
+    def slave(self, s: WavePositionSlave, at: At, rx: Forth) -> tuple[float, Back, WavePositionSlave]:
         b, K, B, x, v, dt, g = self.b, self.K, self.B, at.x, at.v, at.dt, at.gain
         u = rx.u * at.fresh
         root = sqrt(2.0 * b)
@@ -107,7 +107,7 @@ class WavePosition:
         x_d = x_d + dt * v_d
         f_c = K * (x_d - x) + B * (v_d - v)
         w = u - 2.0 / root * (g * f_c + (1.0 - g) * b * v_d)
-        return f_c + (self.K_p * (rx.x - x) - self.B_p * v), Back(w, x), Slave(x_d, v_d)
+        return f_c + (self.K_p * (rx.x - x) - self.B_p * v), Back(w, x), WavePositionSlave(x_d, v_d)
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
         return injection.conditions(

@@ -61,7 +61,7 @@ class Back(NamedTuple):
     guess: kind.Sample  # the guess that came with the wave that it answers, sqrt(W)
 
 
-class Master(NamedTuple):
+class WavePredictionMaster(NamedTuple):
     z: float  # stretch of the model's coupling, m
     v_p: float  # velocity of the model's slave, m/s
     guess: float  # the wave that the model returns, sqrt(W)
@@ -75,7 +75,7 @@ class Master(NamedTuple):
     r: float  # the wave that came with the last tick, zero without one, sqrt(W)
 
 
-class Slave(NamedTuple):
+class WavePredictionSlave(NamedTuple):
     x_d: kind.Position  # commanded point, m
     v_d: float  # its velocity, m/s
 
@@ -99,13 +99,13 @@ class WavePrediction:
     def __post_init__(self) -> None:
         check_knobs(self)
 
-    def master_start(self, at: At) -> tuple[Master, Back]:
-        return Master(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), Back(0.0, 0.0)
+    def master_start(self, at: At) -> tuple[WavePredictionMaster, Back]:
+        return WavePredictionMaster(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), Back(0.0, 0.0)
 
-    def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(at.x, 0.0), Forth(0.0, 0.0)
+    def slave_start(self, at: At) -> tuple[WavePredictionSlave, Forth]:
+        return WavePredictionSlave(at.x, 0.0), Forth(0.0, 0.0)
 
-    def master(self, s: Master, at: At, rx: Back) -> tuple[float, Forth, Master]:
+    def master(self, s: WavePredictionMaster, at: At, rx: Back) -> tuple[float, Forth, WavePredictionMaster]:
         b, v, dt = self.b, at.v, at.dt
         gap, here, root = at.span - dt, 1.0 * at.fresh, sqrt(2.0 * b)
         r = here * rx.w
@@ -129,10 +129,10 @@ class WavePrediction:
         v_d = (root * u - pull + C * v_p) / (b + C)
         guess = u - 2.0 / root * (pull + C * (v_d - v_p))
         z = s.z + dt * (v_d - v_p)
-        return b * v - root * p, Forth(u, guess), Master(
+        return b * v - root * p, Forth(u, guess), WavePredictionMaster(
             z, v_p, guess, heard, miss, size, S - dt * (0.5 * (p * p)), D - dt * p, L, p, r)
 
-    def slave(self, s: Slave, at: At, rx: Forth) -> tuple[float, Back, Slave]:
+    def slave(self, s: WavePredictionSlave, at: At, rx: Forth) -> tuple[float, Back, WavePredictionSlave]:
         b, K, B, x, v, dt, g = self.b, self.K, self.B, at.x, at.v, at.dt, at.gain
         u = rx.u * at.fresh
         root = sqrt(2.0 * b)
@@ -140,7 +140,7 @@ class WavePrediction:
         v_d = (root * u - g * (K * (x_d - x) - B * v)) / ((2.0 - g) * b + g * (B + K * dt))
         x_d = x_d + dt * v_d
         f_s = K * (x_d - x) + B * (v_d - v)
-        return f_s, Back(root * v_d - u, rx.guess), Slave(x_d, v_d)
+        return f_s, Back(root * v_d - u, rx.guess), WavePredictionSlave(x_d, v_d)
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
         """The slave's own mass and damping, where the model's differ from them by more than a fifth."""

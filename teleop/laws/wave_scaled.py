@@ -54,14 +54,14 @@ class Back(NamedTuple):
     w: kind.Wave  # returning, sqrt(W)
 
 
-class Scaling(NamedTuple):
+class ScaledWave(NamedTuple):
     g2: float  # square of the scale
     S: float  # energy that came and is not played yet, J
     p: float  # the wave that is played, sqrt(W)
     r: float  # the wave that came with the last tick, zero without one, sqrt(W)
 
 
-class Slave(NamedTuple):
+class WaveScaledSlave(NamedTuple):
     g2: float  # square of the scale
     S: float  # energy that came and is not played yet, J
     p: float  # the wave that is played, sqrt(W)
@@ -85,20 +85,20 @@ class WaveScaled:
     def __post_init__(self) -> None:
         check_knobs(self)
 
-    def master_start(self, at: At) -> tuple[Scaling, Back]:
-        return Scaling(1.0, 0.0, 0.0, 0.0), Back(0.0)
+    def master_start(self, at: At) -> tuple[ScaledWave, Back]:
+        return ScaledWave(1.0, 0.0, 0.0, 0.0), Back(0.0)
 
-    def slave_start(self, at: At) -> tuple[Slave, Forth]:
-        return Slave(1.0, 0.0, 0.0, 0.0, at.x, 0.0), Forth(0.0)
+    def slave_start(self, at: At) -> tuple[WaveScaledSlave, Forth]:
+        return WaveScaledSlave(1.0, 0.0, 0.0, 0.0, at.x, 0.0), Forth(0.0)
 
-    def master(self, s: Scaling, at: At, rx: Back) -> tuple[float, Forth, Scaling]:
-        now = scaled(s.g2, s.S, s.p, s.r, rx.w, at.fresh, at.age, self.tau, at.dt, at.span)
+    def master(self, s: ScaledWave, at: At, rx: Back) -> tuple[float, Forth, ScaledWave]:
+        now = scale_wave(s.g2, s.S, s.p, s.r, rx.w, at.fresh, at.age, self.tau, at.dt, at.span)
         root = sqrt(2.0 * self.b)
         return self.b * at.v - root * now.p, Forth(root * at.v - now.p), now
 
-    def slave(self, s: Slave, at: At, rx: Forth) -> tuple[float, Back, Slave]:
+    def slave(self, s: WaveScaledSlave, at: At, rx: Forth) -> tuple[float, Back, WaveScaledSlave]:
         b, K, B, x, v, dt, g = self.b, self.K, self.B, at.x, at.v, at.dt, at.gain
-        now = scaled(s.g2, s.S, s.p, s.r, rx.u, at.fresh, at.age, self.tau, dt, at.span)
+        now = scale_wave(s.g2, s.S, s.p, s.r, rx.u, at.fresh, at.age, self.tau, dt, at.span)
         u = now.p
         root = sqrt(2.0 * b)
         x_d = s.x_d + (at.span - dt) * s.v_d
@@ -106,15 +106,15 @@ class WaveScaled:
         x_d = x_d + dt * v_d
         f_s = K * (x_d - x) + B * (v_d - v)
         w = u - 2.0 / root * (g * f_s + (1.0 - g) * b * v_d)
-        return f_s, Back(w), Slave(now.g2, now.S, u, now.r, x_d, v_d)
+        return f_s, Back(w), WaveScaledSlave(now.g2, now.S, u, now.r, x_d, v_d)
 
     def linear(self) -> Any:
         """The wave law, which it is over a constant delay: scales are for links that vary."""
         return find_law("wave")(b=self.b, K=self.K, B=self.B)
 
 
-def scaled(g2: float, S: float, p: float, r: float, newest: float, fresh: bool, age: float,
-           tau: float, dt: float, span: float) -> Scaling:
+def scale_wave(g2: float, S: float, p: float, r: float, newest: float, fresh: bool, age: float,
+           tau: float, dt: float, span: float) -> ScaledWave:
     """The scale, the energy that is left and the wave to play; `newest`: the last wave that came, `fresh`: just now."""
     gap = span - dt
     n = 1.0 * fresh
@@ -123,4 +123,4 @@ def scaled(g2: float, S: float, p: float, r: float, newest: float, fresh: bool, 
     S = S + gap * (0.5 * (r * r - p * p)) + dt * (0.5 * (came * came))
     most = sqrt(2.0 * max(S, 0.0) / dt)
     p = max(-most, min(sqrt(g2) * newest, most))
-    return Scaling(g2, S - dt * (0.5 * (p * p)), p, came)
+    return ScaledWave(g2, S - dt * (0.5 * (p * p)), p, came)

@@ -15,8 +15,9 @@ from typing import Any
 from teleop.storage.strict_json import (
     Check,
     Misshapen,
-    each,
-    named,
+    dict_of,
+    json_text,
+    list_of,
     one_of,
     optional,
     parse,
@@ -24,7 +25,6 @@ from teleop.storage.strict_json import (
     record,
     text,
     truth,
-    written,
 )
 
 SHARE = 0.3  # of a tick: beyond it a flood would starve the tick
@@ -35,11 +35,11 @@ PIECE = 1 << 12  # bytes that are read at once
 MOST = 16  # lines and pieces at one tick
 SHARE_NS = 100_000  # of a tick of 1 ms a tenth, and as much of a longer one
 _MOST_AXES = 16
-_place = optional(each(real, most=_MOST_AXES))
-_TURN = {"order": one_of("turn"), "knobs": named(text)}
+_place = optional(list_of(real, most=_MOST_AXES))
+_TURN = {"order": one_of("turn"), "knobs": dict_of(text)}
 SHAPES: dict[str, Check] = {
     "hand": record({"order": one_of("hand"), "to": _place}),
-    "align": record({"order": one_of("align"), "to": each(real, most=_MOST_AXES)}),
+    "align": record({"order": one_of("align"), "to": list_of(real, most=_MOST_AXES)}),
     "clutch": record({"order": one_of("clutch"), "open": truth}),
     "turn": record({**_TURN, "out": text}, {"again": truth, "align": _place}),
 }
@@ -135,4 +135,4 @@ def refuse(sentence: str) -> None:
 
 def tell(event: str, **fields: Any) -> None:
     """Say an event as a line of JSON on standard output, as all events of a live process are said."""
-    print(written({"event": event, **fields}), flush=True)
+    print(json_text({"event": event, **fields}), flush=True)

@@ -25,11 +25,11 @@ class WallStep(NamedTuple):
     at: float
     k: float
     d: float
-    s12: float  # free: `Linear` for k = 0 without its trivial entries
+    s12: float  # free: `LinearStep` for k = 0 without its trivial entries
     t1: float
     s22: float
     t2: float
-    a11: float  # in contact: `Linear`
+    a11: float  # in contact: `LinearStep`
     a12: float
     b1: float
     a21: float

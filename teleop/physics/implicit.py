@@ -70,7 +70,7 @@ def _core(body: MassDamper, mass: float, resistance: Resistance, friction: float
 
 
 def _linear_part(body: MassDamper, mass: float, k: float, d: float, dt: float) -> tuple[float, ...]:
-    """`Linear` in contact, k, d, total damping and mass, then 1.0 if speed and force turn at most once in dt."""
+    """`LinearStep` in contact, k, d, total damping and mass, then 1.0 if speed and force turn at most once in dt."""
     damping = body.damping + d
     sigma, w2 = 0.5 * damping / mass, k / mass
     gap = sigma * sigma - w2

@@ -110,7 +110,7 @@ def _series(a: float, b: float, tau: float) -> tuple[float, float, float]:
     return tau * s, ds, tau * tau * w
 
 
-class Linear(NamedTuple):
+class LinearStep(NamedTuple):
     """One step with the force held: `q1 = a11 q + a12 v + b1 f`, `v1 = a21 q + a22 v + b2 f`."""
 
     a11: float
@@ -122,12 +122,12 @@ class Linear(NamedTuple):
 
 
 @lru_cache(maxsize=256)  # most rows of a sweep share all bodies but one
-def linear(m: float, c: float, k: float, dt: float) -> Linear:
+def linear(m: float, c: float, k: float, dt: float) -> LinearStep:
     """The exact step of `m q'' + c q' + k q = f` over dt; Refused where no finite one exists."""
     s, ds, w = response(m, c, k, dt)
     w2 = k / m
     a11 = 1.0 - w2 * w if w2 * w < 0.5 else ds + c / m * s  # exactly 1 without a spring: nothing creeps
-    step = Linear(a11, s, w / m, -w2 * s, ds, s / m)
+    step = LinearStep(a11, s, w / m, -w2 * s, ds, s / m)
     if not all(map(isfinite, step)):
         raise Refused(f"a body of {m:g} kg with {c:g} N s/m and {k:g} N/m has no finite step of {dt:g} s; "
                       "check the units: kg, N s/m, N/m, s")
@@ -135,7 +135,7 @@ def linear(m: float, c: float, k: float, dt: float) -> Linear:
 
 
 def move_free(c: Coefficients, x: float, v: float, f: float) -> tuple[float, float, int]:
-    """Move a body that touches nothing; c is (a12, b1, a22, b2) of `Linear` for k = 0."""
+    """Move a body that touches nothing; c is (a12, b1, a22, b2) of `LinearStep` for k = 0."""
     a12, b1, a22, b2 = c
     return x + a12 * v + b1 * f, a22 * v + b2 * f, 0
 
@@ -152,7 +152,7 @@ def free_space(body: MassDamper, dt: float) -> Plant:
 
 
 class Sprung(NamedTuple):
-    """A body on a spring k and damper d that rest at `at`: these three, then the fields of `Linear`."""
+    """A body on a spring k and damper d that rest at `at`: these three, then the fields of `LinearStep`."""
 
     at: float
     k: float
@@ -184,7 +184,7 @@ def spring_damper(body: MassDamper, dt: float, *, k: float, d: float, at: float 
 
 
 class Gripped(NamedTuple):
-    """Master and gripping hand as one body: the fields of `Linear`, then what the grip force needs."""
+    """Master and gripping hand as one body: the fields of `LinearStep`, then what the grip force needs."""
 
     a11: float
     a12: float
@@ -212,7 +212,7 @@ def move_gripped(c: Coefficients, x: float, v: float, f_m: float, r0: float, r1:
     """Move the held master over one tick in which the reference runs straight from r0 to r1; c is `Gripped`.
 
     With s = (r1 - r0)/dt and y = x - x_ref the ramp vanishes: `M y'' + (b + d) y' + k y = -(f_m + b s)`,
-    which is the step of `Linear`.
+    which is the step of `LinearStep`.
     """
     a11, a12, b1, a21, a22, b2, dt, b, _, _, _, _ = c
     s = (r1 - r0) / dt

@@ -70,10 +70,10 @@ def turned(w: float, x: float, y: float, z: float, dx: float, dy: float, dz: flo
     return unit(pw, px, py, pz)
 
 
-def counted(w: float, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> Quaternion:
+def first_or_turned(w: float, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> Quaternion:
     """The same; of none yet, (0, 0, 0, 0), the quaternion exp(d) or its negative, whichever has w >= 0.
 
-    >>> counted(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    >>> first_or_turned(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     (1.0, 0.0, 0.0, 0.0)
     """
     if w != 0.0 or x != 0.0 or y != 0.0 or z != 0.0:

@@ -47,10 +47,11 @@ _ROW = stored.record(
      "seed": stored.whole(low=0), "row": stored.whole(low=0)},
     dict.fromkeys((column.key for column in COLUMNS), stored.either(stored.real, stored.one_of("inf", "-inf", "nan"))))
 _SUMMARY = stored.record({}, {
-    "status": stored.text, "sentence": stored.text, "file": stored.text, "notes": stored.each(stored.text),
-    "command": stored.each(stored.text), "axis_units": SHAPES["axis_units"], "versions": stored.named(stored.text),
-    "conditions": stored.each(stored.record({"law": stored.text, "link": stored.text,
-                                             "sentences": stored.each(stored.text)}))})
+    "status": stored.text, "sentence": stored.text, "file": stored.text, "notes": stored.list_of(stored.text),
+    "command": stored.list_of(stored.text), "axis_units": SHAPES["axis_units"],
+    "versions": stored.dict_of(stored.text),
+    "conditions": stored.list_of(stored.record({"law": stored.text, "link": stored.text,
+                                                "sentences": stored.list_of(stored.text)}))})
 
 
 def comparison_told(folder: Path, args: Namespace) -> Told:

@@ -29,8 +29,8 @@ Begun = tuple[int, str]  # the first tick of a part, and why it began
 WHY = {"start": "start", "turn": "turned", "again": "started again", "lost": "a process had ended"}
 _SHAPE = stored.record({
     "version": stored.whole(low=1, high=1), "scene": stored.text,
-    "parts": stored.each(stored.record({"folder": stored.text, "k": stored.whole(low=-1), "why": stored.text}),
-                         most=MOST)}, {"command": stored.each(stored.text)})
+    "parts": stored.list_of(stored.record({"folder": stored.text, "k": stored.whole(low=-1), "why": stored.text}),
+                         most=MOST)}, {"command": stored.list_of(stored.text)})
 
 
 def page_told(folder: Path, args: Namespace, formats: Sequence[str]) -> Told:

@@ -30,8 +30,9 @@ ROWS, COLUMNS, WIDE = 60, 9, 44  # of a table, and characters of a cell of it
 ON_PAGE, LONG = 24, 28  # rows of it on a page, and characters of what stands in a line of its own there
 _SHAPE = stored.record(
     {"status": stored.text, "sentence": stored.text, "mode": stored.one_of(*MODES)},
-    {"scene": stored.optional(stored.text), "parameters": stored.record({}), "versions": stored.named(stored.text),
-     "command": stored.each(stored.text), "units": stored.named(stored.text), "notes": stored.each(stored.text)})
+    {"scene": stored.optional(stored.text), "parameters": stored.record({}), "versions": stored.dict_of(stored.text),
+     "command": stored.list_of(stored.text), "units": stored.dict_of(stored.text),
+     "notes": stored.list_of(stored.text)})
 
 
 class Block(NamedTuple):

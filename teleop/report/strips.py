@@ -91,7 +91,7 @@ def _of_axes(panel: TracePanel, run: Strip, shown: Sequence[int]) -> Iterator[Pa
     if all(run.trace[curve.name].ndim == 1 for curve in panel.curves if curve.name in run.trace):
         yield Panels(panel, [run], [[0]])
         return
-    names = run.labels.named(count)
+    names = run.labels.names_for(count)
     for unit, axes in by_unit(panel.unit, shown, run.labels, count).items():
         yield Panels(panel._replace(unit=unit), [_along(run, panel, names[i], i) for i in axes],
                      [[0]] * len(axes), apart=True)
@@ -167,7 +167,8 @@ def _legend(panels: Panels) -> list[tuple[str, str]]:
             reversed(has)]
     several = [(run, shown) for run, shown in zip(runs, panels.shown, strict=True) if any(
         run.trace[curve.name].ndim > 1 for curve in has if curve.name in run.trace)]
-    axes = {f"l e{_dashes(run)[i]}": run.labels.named(axes_of(run.trace))[i] for run, shown in several for i in shown}
+    axes = {f"l e{_dashes(run)[i]}": run.labels.names_for(axes_of(run.trace))[i]
+            for run, shown in several for i in shown}
     return [*told, *axes.items()]
 
 

@@ -11,13 +11,13 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.axes import FORCE_UNIT, MOST_AXES, axis_names
-from teleop.storage.strict_json import Check, each, one_of, text
+from teleop.storage.strict_json import Check, list_of, one_of, text
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene
 
-SHAPES: dict[str, Check] = {"axis_names": each(text, most=MOST_AXES),
-                            "axis_units": each(one_of(*FORCE_UNIT), most=MOST_AXES)}
+SHAPES: dict[str, Check] = {"axis_names": list_of(text, most=MOST_AXES),
+                            "axis_units": list_of(one_of(*FORCE_UNIT), most=MOST_AXES)}
 TURNING = {"m": "rad", "m/s": "rad/s", "N": "N m", "N/s": "N m/s", "N/m": "N m/rad", "N s/m": "N m s/rad",
            "kg": "kg m^2"}  # the unit of a quantity along an axis that turns, by that along a line
 
@@ -32,11 +32,11 @@ class AxisLabels(NamedTuple):
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
 
-    def named(self, axes: int) -> tuple[str, ...]:
+    def names_for(self, axes: int) -> tuple[str, ...]:
         """The names of the axes of a record that has so many."""
         return axis_names(self.names if len(self.names) == axes else (), axes)
 
-    def in_units(self, axes: int) -> tuple[str, ...]:
+    def units_for(self, axes: int) -> tuple[str, ...]:
         """The unit of the position, m or rad, of each of so many axes."""
         return self.units if len(self.units) == axes else ("m",) * axes
 

@@ -14,7 +14,7 @@ from teleop.errors import Refused, closest, nearest
 from teleop.knob import Declared, knobs_of_fields
 from teleop.law import BUILT_IN, find_law, known_laws
 from teleop.laws.around.names import EXAMPLES, STAGES
-from teleop.naming import known
+from teleop.naming import known_places
 from teleop.scene.knobs import knobs_of, read_law
 from teleop.scene.library import ROOT, built_in_scenes, import_bundled, known_scenes, own_module, scene_function
 from teleop.scene.own_law import file_law, file_named, laws_in
@@ -127,7 +127,7 @@ def _effects() -> Mapping[str, str]:
 
 
 def _estimators() -> dict[str, str]:
-    return dict(sorted(known(ESTIMATORS.group, ESTIMATORS.places).items()))
+    return dict(sorted(known_places(ESTIMATORS.group, ESTIMATORS.places).items()))
 
 
 def _line(thing: Any) -> str:

@@ -11,7 +11,7 @@ import ast
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from teleop.naming import known
+from teleop.naming import known_places
 from teleop.scene.library import ROOT
 
 DEVICES = {  # of the master's end
@@ -45,7 +45,7 @@ KINDS = {
 
 def known_devices(e: str) -> dict[str, str]:
     """Places of all that may stand at the end `e`, "m" or "s": `name -> "module:maker"`. None is imported."""
-    return dict(sorted(known(KINDS[e].group, KINDS[e].built_in).items()))
+    return dict(sorted(known_places(KINDS[e].group, KINDS[e].built_in).items()))
 
 
 def device_line(e: str, name: str, place: str) -> str:

@@ -340,12 +340,12 @@ def _of_the_law(wrong: WrongNumber, values: Mapping[str, object], kind: Any) -> 
     if wrong.name not in values:
         return wrong
     own = knobs_of_fields(kind).get(wrong.name) if is_dataclass(kind) else None
-    told = wrong.called(f"law.{wrong.name}")
+    told = wrong.with_name(f"law.{wrong.name}")
     if own is None or not own.knob.meaning:
         return told
     known = f"{kind.__module__}:{kind.__name__}" in BUILT_IN.values()
     source = f"; source: the head of {kind.__module__.replace('.', '/')}.py" * known
-    return told.explained(own.knob.meaning + source)
+    return told.with_note(own.knob.meaning + source)
 
 
 def _numbers_of_law(kind: Any, changes: Mapping[str, object]) -> dict[str, object]:

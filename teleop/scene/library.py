@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.law import innermost
-from teleop.naming import find, known
+from teleop.naming import find, known_places
 from teleop.storage.files import read_bytes
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def built_in_scenes() -> list[str]:
 
 def known_scenes() -> list[str]:
     """Names of all scenes, built in and of plug-ins; none is imported."""
-    return sorted({*built_in_scenes(), *known(GROUP, {})})
+    return sorted({*built_in_scenes(), *known_places(GROUP, {})})
 
 
 def scene_function(name: str) -> Callable[..., Scene]:

@@ -89,7 +89,7 @@ class SceneMaker:
             raise Refused(f"scene {self._name!r} returned {type(scene).__name__}; its function must return a "
                           "teleop.Scene")
         scene = with_wide(scene, self._wide) if self._wide else scene
-        return _called(scene, self._stem, {**settled, **self._shown}, self._own_law)
+        return _with_name(scene, self._stem, {**settled, **self._shown}, self._own_law)
 
     def _settle(self, knobs: Mapping[str, object]) -> None:
         """Read and check all knobs; those of later scenes too may differ, where no other knob depends on them."""
@@ -106,7 +106,7 @@ class SceneMaker:
             self._read = {key: known[key] for key in knobs}
 
 
-def _called(scene: Scene, name: str, knobs: Mapping[str, object], own_law: Any) -> Scene:
+def _with_name(scene: Scene, name: str, knobs: Mapping[str, object], own_law: Any) -> Scene:
     """The same scene with a name, its knobs and its own law, without a second check of its parts."""
     called = object.__new__(Scene)
     called.__dict__.update(scene.__dict__, name=name, knobs=knobs, own_law=own_law)
@@ -118,7 +118,7 @@ def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refus
     if isinstance(refused, (WrongNumber, WrongCount)) and given.get(refused.name) != refused.value:
         same = [key for key, value in given.items() if type(value) in (int, float, tuple) and value == refused.value]
         if len(same) == 1:
-            return refused.called(same[0])
+            return refused.with_name(same[0])
     if isinstance(refused, LawMistake):
         return refused
     said = str(refused).replace("=", " ").split()

@@ -37,8 +37,8 @@ def file_law(text: str) -> type[Any]:
     try:
         at = stat(file_named(text))
     except OSError:
-        return _found(text, None)  # which says so
-    return _found(text, (at.st_dev, at.st_ino, at.st_size, at.st_mtime_ns))
+        return _load_law(text, None)  # which says so
+    return _load_law(text, (at.st_dev, at.st_ino, at.st_size, at.st_mtime_ns))
 
 
 def laws_in(file: str) -> dict[str, type[Any]]:
@@ -49,7 +49,7 @@ def laws_in(file: str) -> dict[str, type[Any]]:
 
 
 @lru_cache(maxsize=64)  # a sweep asks for each row
-def _found(text: str, _: tuple[int, ...] | None) -> type[Any]:
+def _load_law(text: str, _: tuple[int, ...] | None) -> type[Any]:
     file, name = _parted(text)
     laws = laws_in(file)
     if not name and len(laws) == 1:

@@ -10,7 +10,7 @@ from typing import Any
 
 from teleop.errors import enumerated, number_of
 from teleop.law import innermost, law_name
-from teleop.law.offers import Delay, Facts, broken
+from teleop.law.offers import AgeRange, Facts, broken
 from teleop.scene.axis_labels import told_along
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero, as_typed, gaps_of
 from teleop.scene.scene import Scene
@@ -156,12 +156,12 @@ def fitted(scene: Scene, seed: int = 0) -> Scene:
     return replace(scene, law=laws[0] if same else laws)
 
 
-def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[Delay | None, Delay | None, bool, float]:
+def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[AgeRange | None, AgeRange | None, bool, float]:
     """Facts on the link and the skipped ticks of the first `ran` ticks of a run in virtual time."""
     import numpy as np
 
     dt = scene.dt_ns / 1e9
-    delays = [Delay(dt, dt) if plan is None else delay(np.arange(ran), plan.played_at[:ran], dt) for plan in plans]
+    delays = [AgeRange(dt, dt) if plan is None else delay(np.arange(ran), plan.played_at[:ran], dt) for plan in plans]
     if scene.deadband is not None:  # of what could be sent, before it is known what is: a silence more
         silence = inf if scene.deadband.keep_alive is None else scene.deadband.keep_alive
         delays = [each if each is None or plan is None or plan.due is None else
@@ -179,16 +179,16 @@ def longest(ticks: Any, end: int | None = None) -> int:
     return int(np.diff(at if end is None else np.append(at, end)).max(initial=1))
 
 
-def delay(ticks: Any, played: Any, dt: float) -> Delay | None:
+def delay(ticks: Any, played: Any, dt: float) -> AgeRange | None:
     """The delay of one direction. `played`: at each of these ticks the packet played, below zero for none."""
     import numpy as np
 
     at, newest = np.asarray(ticks, dtype=np.int64), np.maximum.accumulate(np.asarray(played, dtype=np.int64))
     ages = (at - newest)[newest >= 0]
-    return Delay(float(ages.min()) * dt, float(ages.max()) * dt) if len(ages) else None
+    return AgeRange(float(ages.min()) * dt, float(ages.max()) * dt) if len(ages) else None
 
 
-def facts(scene: Scene, axis: int, fwd: Delay | None, bwd: Delay | None, lossy: bool, held: float) -> Facts:
+def facts(scene: Scene, axis: int, fwd: AgeRange | None, bwd: AgeRange | None, lossy: bool, held: float) -> Facts:
     """The facts of an axis of a scene whose link did this, and whose forces were held for as long as `held` (s).
 
     The slave's body is as the law meets it, in the master's metres and newtons: of m_s a_s = f_s with x_s = scale_x x
@@ -200,7 +200,7 @@ def facts(scene: Scene, axis: int, fwd: Delay | None, bwd: Delay | None, lossy: 
                  fwd, bwd, lossy, _word(scene.played_as), held)
 
 
-def law_notes(scene: Scene, fwd: Delay | None, bwd: Delay | None, lossy: bool, held: float) -> list[str]:
+def law_notes(scene: Scene, fwd: AgeRange | None, bwd: AgeRange | None, lossy: bool, held: float) -> list[str]:
     """The notes on conditions of the law that a run broke; none of a scene with one end.
 
     A condition that is broken on some axes alone is told with their names.

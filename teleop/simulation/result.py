@@ -16,7 +16,7 @@ from teleop.simulation.plan import Packets
 from teleop.simulation.trace import blocks
 from teleop.storage.files import read_bytes, replacing
 from teleop.storage.folder import new_folder
-from teleop.storage.strict_json import Misshapen, parse, plain, write_document
+from teleop.storage.strict_json import Misshapen, json_value, parse, write_document
 
 RUNNING = "still running"  # the status of a live run that has not ended: its result is of the ticks recorded so far
 LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
@@ -97,7 +97,7 @@ class Result:
     def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:
         """Document for summary.json: a number that is not finite is the text "inf", "-inf" or "nan"."""
         labels = self.labels
-        summary: dict[str, Any] = plain({
+        summary: dict[str, Any] = json_value({
             **head(status=self.status, sentence=self.sentence, scene=self.scene, mode=self.mode,
                    parameters=self.parameters, seed=self.seed, command=command, dt=self.dt),
             "ticks": self.ticks, "run_time": self.run_time,

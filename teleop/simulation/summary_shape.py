@@ -11,9 +11,9 @@ from teleop.storage.strict_json import (
     Check,
     Misshapen,
     between,
-    each,
+    dict_of,
     either,
-    named,
+    list_of,
     one_of,
     optional,
     real,
@@ -26,9 +26,9 @@ MOST_SEED = (1 << 64) - 1
 TICK = whole(low=-1, high=MOST_TICKS)
 COUNT = whole(low=0)
 EVENT = record({"k": TICK, "what": text, "why": text})
-_ESTIMATE = either(real, one_of("inf", "-inf", "nan"))  # of a run that diverged, see `strict_json.written`
+_ESTIMATE = either(real, one_of("inf", "-inf", "nan"))  # of a run that diverged, see `strict_json.json_text`
 _TIMES = record({"mean": real})
-_COUNTS: dict[str, Check] = {each.name: COUNT for each in fields(Packets)} | {"rejected": named(COUNT)}
+_COUNTS: dict[str, Check] = {each.name: COUNT for each in fields(Packets)} | {"rejected": dict_of(COUNT)}
 
 
 def packets(value: object, name: str) -> None:
@@ -42,10 +42,10 @@ def packets(value: object, name: str) -> None:
 def end(value: object, name: str) -> None:
     """Summary of one end of a live run."""
     record({}, {
-        "status": text, "sentence": text, "ticks": COUNT, "skipped": whole(), "events": optional(each(EVENT)),
-        "late_us": optional(named(real)), "cpu": optional(real), "run_time": optional(real), "rtt": optional(_TIMES),
+        "status": text, "sentence": text, "ticks": COUNT, "skipped": whole(), "events": optional(list_of(EVENT)),
+        "late_us": optional(dict_of(real)), "cpu": optional(real), "run_time": optional(real), "rtt": optional(_TIMES),
         "jitter": real, "lost": whole(), "reordered": whole(),
-        "peer_clock": optional(record({}, {"drift": optional(real)})), "realtime": optional(named(text)),
+        "peer_clock": optional(record({}, {"drift": optional(real)})), "realtime": optional(dict_of(text)),
     })(value, name)
     if isinstance(value, dict) and value.get("rtt"):
         record({"jitter": real, "lost": whole(), "reordered": whole()})(value, name)
@@ -60,11 +60,11 @@ RUN = record({
     "status": text, "sentence": text, "scene": text, "mode": text, "seed": whole(low=0, high=MOST_SEED),
     "parameters": record({}, {"law": either(text, record({"name": text}))}),
     "dt": between(1e-6, 10.0), "ticks": whole(low=0, high=MOST_TICKS), "run_time": optional(real),
-    "metrics": named(record({"value": real})), "packets": named(packets), "notes": each(text),
+    "metrics": dict_of(record({"value": real})), "packets": dict_of(packets), "notes": list_of(text),
 }, {
-    "versions": named(text), "command": each(text), "end": one_of("master", "slave"), "master": end, "slave": end,
+    "versions": dict_of(text), "command": list_of(text), "end": one_of("master", "slave"), "master": end, "slave": end,
     "bodies": text, **SHAPES,
-    "integration": optional(named(record({
+    "integration": optional(dict_of(record({
         "error_estimate_max": _ESTIMATE, "error_estimate_sum": _ESTIMATE, "substeps_max": real,
         "ticks_over_tolerance": real, "tolerance": real,
     }))),

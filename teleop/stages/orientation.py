@@ -62,7 +62,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.kind import positions
-from teleop.physics.rotation import counted, heard_at, left_at, sent_at
+from teleop.physics.rotation import first_or_turned, heard_at, left_at, sent_at
 from teleop.stages.end import Axis, Column, End, Record, Run, Stage
 
 
@@ -157,7 +157,7 @@ class OrientationStage(Stage):
             t.before_x, t.before_y, t.before_z = t.phi_x, t.phi_y, t.phi_z
             t.phi_x, t.phi_y, t.phi_z = t.a.at.x, t.b.at.x, t.c.at.x
             t.dx, t.dy, t.dz = t.phi_x - t.before_x, t.phi_y - t.before_y, t.phi_z - t.before_z
-            t.w, t.x, t.y, t.z = counted(t.w, t.x, t.y, t.z, t.dx, t.dy, t.dz)
+            t.w, t.x, t.y, t.z = first_or_turned(t.w, t.x, t.y, t.z, t.dx, t.dy, t.dz)
 
     def receive(self, run: Run, e: End) -> None:
         for t in self.rotations:

@@ -35,7 +35,7 @@ class Claim:
     def __init__(self, path: Path, parents: list[Path]) -> None:
         self.path = path
         self._parents = parents  # innermost first
-        self._held = _opened(path)  # while it is open, no other folder gets its number
+        self._held = _open_folder(path)  # while it is open, no other folder gets its number
         if self._held is not None:
             lock(self._held, shared=False)
         self._made = _identity(path)
@@ -168,7 +168,7 @@ def is_being_written(folder: Path) -> bool:
     That process holds a lock on the folder, which the system releases when it ends, however it ends. False too where
     folders cannot be locked, as on some network file systems.
     """
-    held = _opened(folder)
+    held = _open_folder(folder)
     if held is None:
         return False
     try:
@@ -177,7 +177,7 @@ def is_being_written(folder: Path) -> bool:
         os.close(held)
 
 
-def _opened(folder: Path) -> int | None:
+def _open_folder(folder: Path) -> int | None:
     """The open folder; None where the system opens none, as Windows."""
     with suppress(OSError):
         return os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_NOFOLLOW", 0))

@@ -57,29 +57,29 @@ def _decoded(data: bytes | str, decoder: json.JSONDecoder) -> Any:
         raise Misshapen(f"it is no JSON: {error}") from None
 
 
-def written(value: Any, *, indent: int | None = None) -> str:
+def json_text(value: Any, *, indent: int | None = None) -> str:
     """`value` as JSON that every reader takes, `parse` too. Never raises over a number."""
-    return json.dumps(plain(value), indent=indent, allow_nan=False, default=str)
+    return json.dumps(json_value(value), indent=indent, allow_nan=False, default=str)
 
 
 def write_document(path: Path, value: Any) -> None:
     """Write `value` as the JSON file `path`, indented, whole or not at all. Raises `OSError`."""
-    text = written(value, indent=2)
+    text = json_text(value, indent=2)
     with replacing(path) as file:
         file.write(text.encode() + b"\n")
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """`value` in numbers that JSON has: one that is not finite becomes the text "inf", "-inf" or "nan".
 
-    >>> plain({"margin": float("-inf"), "ages": (0.1, float("nan"))})
+    >>> json_value({"margin": float("-inf"), "ages": (0.1, float("nan"))})
     {'margin': '-inf', 'ages': [0.1, 'nan']}
     """
     if isinstance(value, float):
         return value if isfinite(value) else str(float(value))
     if isinstance(value, dict):
-        return {key: plain(inner) for key, inner in value.items()}
-    return [plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+        return {key: json_value(inner) for key, inner in value.items()}
+    return [json_value(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 def text(value: object, name: str) -> None:
@@ -147,9 +147,9 @@ def optional(inner: Check) -> Check:
 def either(*several: Check) -> Check:
     """What one of these takes; the last says what is wrong."""
     def check(value: object, name: str) -> None:
-        for each in several[:-1]:
+        for option in several[:-1]:
             try:
-                each(value, name)
+                option(value, name)
             except Misshapen:
                 continue
             return
@@ -158,7 +158,7 @@ def either(*several: Check) -> Check:
     return check
 
 
-def each(inner: Check, *, most: int = 10_000_000) -> Check:
+def list_of(inner: Check, *, most: int = 10_000_000) -> Check:
     """A list of at most so many of them."""
     def check(value: object, name: str) -> None:
         if not isinstance(value, list):
@@ -171,7 +171,7 @@ def each(inner: Check, *, most: int = 10_000_000) -> Check:
     return check
 
 
-def named(inner: Check) -> Check:
+def dict_of(inner: Check) -> Check:
     """An object whose values are all of this shape."""
     def check(value: object, name: str) -> None:
         if not isinstance(value, dict):

@@ -15,7 +15,7 @@ from teleop.errors import Refused, number_of
 from teleop.storage import strict_json as stored
 from teleop.storage.files import is_part, open_regular, read_bytes
 from teleop.storage.folder import claim, lock, numbered
-from teleop.storage.strict_json import Misshapen, anything, each, either, named, parse, record, whole
+from teleop.storage.strict_json import Misshapen, anything, dict_of, either, list_of, parse, record, whole
 from teleop.sweeps.grid import plain
 
 DEFINITION = "sweep.json"
@@ -27,11 +27,12 @@ EDITED = {  # what a difference in a digest means, and what to type
 }
 MOST_COLUMNS = 1000  # knobs, and metrics
 _ABSENT = object()
-_LISTED = either(each(anything), record({"count": whole(low=0)}))  # of many values the definition has the digest
+_LISTED = either(list_of(anything), record({"count": whole(low=0)}))  # of many values the definition has the digest
 _SHAPE = record({}, {
-    "scene": stored.text, "fixed": named(anything), "metrics": each(stored.text, most=MOST_COLUMNS),
+    "scene": stored.text, "fixed": dict_of(anything), "metrics": list_of(stored.text, most=MOST_COLUMNS),
     "grid": record({}, {
-        "axes": each(record({"knobs": each(stored.text, most=MOST_COLUMNS)}, {"values": _LISTED}), most=MOST_COLUMNS),
+        "axes": list_of(record({"knobs": list_of(stored.text, most=MOST_COLUMNS)}, {"values": _LISTED}),
+                        most=MOST_COLUMNS),
         "seeds": _LISTED,
     }),
 })

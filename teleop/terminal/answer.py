@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.simulation.result import head, law_with_gains, parameters
 from teleop.storage.folder import LAST, NewFolder, new_folder
-from teleop.storage.strict_json import write_document, written
+from teleop.storage.strict_json import json_text, write_document
 from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.screen import render
@@ -70,7 +70,7 @@ def say(answer: Answer, *, json: bool) -> None:
 
     What a terminal would obey, or its encoding does not know, is written out, and stops nothing.
     """
-    text = written(answer.document) if json else answer.text
+    text = json_text(answer.document) if json else answer.text
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     text = printable(text, lines=True).encode(encoding, "backslashreplace").decode(encoding)
     print(text if json else render(text, sys.stdout))

@@ -234,14 +234,14 @@ def left_out(trace: Mapping[str, Any], shown: Sequence[int], labels: AxisLabels)
     count = axes_of(trace)
     if len(shown) == count:
         return ""
-    names = labels.named(count)
+    names = labels.names_for(count)
     return (f"{len(shown)} of {count} axes are drawn, those over which the forces of the stack did most work: "
             f"{enumerated([names[i] for i in shown])}")
 
 
 def by_unit(unit: str, shown: Sequence[int], labels: AxisLabels, count: int) -> dict[str, list[int]]:
     """The axes that go on one scale, by their unit, of a quantity whose unit along a line is `unit`."""
-    units = labels.in_units(count)
+    units = labels.units_for(count)
     parsed: dict[str, list[int]] = {}
     for i in shown:
         parsed.setdefault(unit_on(unit, units[i]), []).append(i)

@@ -97,7 +97,7 @@ def _together(result: Result, panels: Sequence[TracePanel], shown: Sequence[int]
 def _apart(result: Result, panels: Sequence[TracePanel], shown: Sequence[int], title: str) -> Figure:
     """A column of panels for each axis, each panel on its own scale; what is of all axes together is as wide as all."""
     count = axes_of(result.trace)
-    names, units = result.labels.named(count), result.labels.in_units(count)
+    names, units = result.labels.names_for(count), result.labels.units_for(count)
     figure = new_figure((2.6 * len(shown) + 2.2, 1.7 * len(panels) + 1.2), title)
     grid = figure.add_gridspec(len(panels), len(shown))
     for row, panel in enumerate(panels):
@@ -163,7 +163,7 @@ def axis_curves(column: NDArray[Any], shown: Sequence[int], labels: AxisLabels
     if column.ndim == 1:
         yield "", 0, column
     else:
-        names = labels.named(column.shape[1])
+        names = labels.names_for(column.shape[1])
         yield from ((names[i], i, column[:, i]) for i in shown)
 
 

@@ -210,7 +210,8 @@ def _class(stage: Any, law: Any, ends: Mapping[str, InnerEnd], lines: Mapping[st
     kind_of_law = type(law)
     known = {**knobs_of_fields(kind_of_law),
              **{f"{stage.name}_{name}": knob for name, knob in knobs_of_fields(stage).items()}}
-    text = ["@dataclass(frozen=True, kw_only=True)", f"class {stage.__name__}{kind_of_law.__name__}:",
+    name_of_class = f"{stage.__name__.removesuffix('Wrapper')}{kind_of_law.__name__}"
+    text = ["@dataclass(frozen=True, kw_only=True)", f"class {name_of_class}:",
             f"    {_doc(stage, kind_of_law)!r}"]
     of_law = {field.name: field for field in fields(kind_of_law)}
     of_stage = {f"{stage.name}_{field.name}": field for field in fields(stage)}

@@ -51,7 +51,7 @@ def unpaid(q: float, last: float, account: float, dt: float) -> float:
     return (last * last > q * q + 2.0 * account / dt) * 1.0
 
 
-def kept(send: float, q: float, last: float) -> float:
+def sent_value(send: float, q: float, last: float) -> float:
     """`q` to the bit where `send` is 1.0, else `last`."""
     return min(max(q, last - send * BIG), last + send * BIG)
 
@@ -63,7 +63,7 @@ def within(wave: float, q: float, account: float, dt: float) -> float:
 
 
 @dataclass(frozen=True)
-class Deadband:
+class DeadbandWrapper:
     """A message that differs by less than a share k from the last one goes out with the values of that (Weber)."""
 
     k: Annotated[float, Knob("", "share by which a value differs that is sent; 0: all are", low=0.0, high=1.0)] = 0.1
@@ -91,7 +91,7 @@ class Deadband:
                 after += [f"deadband_A_{name} = s.deadband_A_{name} + (at.span - at.dt) * s.deadband_P_{name}",
                           f"deadband_send = max(deadband_send, unpaid(tx_{name}, {last}, deadband_A_{name}, at.dt))"]
         for name, of_kind in decides.items():
-            after.append(f"deadband_{name} = kept(deadband_send, tx_{name}, s.deadband_{name})")
+            after.append(f"deadband_{name} = sent_value(deadband_send, tx_{name}, s.deadband_{name})")
             if of_kind == "wave":
                 after += [f"deadband_{name} = within(deadband_{name}, tx_{name}, deadband_A_{name}, at.dt)",
                           f"deadband_P_{name} = 0.5 * (tx_{name} * tx_{name} - deadband_{name} * deadband_{name})",
@@ -104,7 +104,7 @@ class Deadband:
     @classmethod
     def words(cls) -> Mapping[str, Any]:
         """The functions of this file that the lines name."""
-        return {"moved": moved, "unpaid": unpaid, "kept": kept, "within": within}
+        return {"moved": moved, "unpaid": unpaid, "sent_value": sent_value, "within": within}
 
     @classmethod
     def claims_of(cls, claims: Any) -> Any:

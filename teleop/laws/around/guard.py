@@ -60,13 +60,13 @@ def let_through(g: float, v: float, level: float, axes: float, dt: float, k: flo
     return min(max(g - damper * v, -(ahead * brake + astern * drive + rest)), ahead * drive + astern * brake + rest)
 
 
-def asked(drag: float, level: float, seed: float) -> float:
+def master_damper(drag: float, level: float, seed: float) -> float:
     """The damper at the master (N s/m) for a slave whose account has `level` J."""
     return drag * min(max(1.0 - level / max(seed, TINY), 0.0), 1.0)
 
 
 @dataclass(frozen=True)
-class Guard:
+class GuardWrapper:
     """A passivity observer and controller at both ends lets the law give out no more energy than came in."""
 
     E0: Annotated[float, Knob("J", "energy that each end is given to begin with", low=0.0)] = 0.05
@@ -86,7 +86,7 @@ class Guard:
         """At each end: its account, what it has told and what it has seen; the force after the law."""
         master = end.name == "master"
         sign = "" if master else "-"
-        drag = "asked(self.guard_drag, rx.guard_H, self.guard_E0)" if master else "0.0"
+        drag = "master_damper(self.guard_drag, rx.guard_H, self.guard_E0)" if master else "0.0"
         after = (
             "guard_seen = max(s.guard_seen, rx.guard_E)",
             "guard_H = s.guard_H + over.guard_w + (guard_seen - s.guard_seen)",
@@ -106,7 +106,7 @@ class Guard:
     @classmethod
     def words(cls) -> Mapping[str, Any]:
         """The functions of this file that the lines name."""
-        return {"let_through": let_through, "asked": asked}
+        return {"let_through": let_through, "master_damper": master_damper}
 
     @classmethod
     def conditions_of(cls, law: Any, said: tuple[str, ...], facts: Facts) -> tuple[str, ...]:

@@ -17,9 +17,9 @@ from teleop.laws.around.compose import compose
 from teleop.naming import PartKind, unreadable
 
 STAGES = {
-    "deadband": "teleop.laws.around.deadband:Deadband",
-    "guard": "teleop.laws.around.guard:Guard",
-    "virtual_coupling": "teleop.laws.around.virtual_coupling:VirtualCouplingEnd",
+    "deadband": "teleop.laws.around.deadband:DeadbandWrapper",
+    "guard": "teleop.laws.around.guard:GuardWrapper",
+    "virtual_coupling": "teleop.laws.around.virtual_coupling:VirtualCouplingWrapper",
 }
 EXAMPLES = {"deadband": "deadband(0.1, floor=1e-3)", "guard": "guard(E0=0.05)",
             "virtual_coupling": "virtual_coupling(K=400, B=0.2)"}
@@ -81,7 +81,7 @@ def read_stage(text: str) -> Any:
     try:
         return KIND.read(f"{text}()" if text.isidentifier() else text)
     except WrongNumber as wrong:  # by the name that it has beside the knobs of the law
-        raise wrong.called(f"law.{name}_{wrong.name}") from None
+        raise wrong.with_name(f"law.{name}_{wrong.name}") from None
 
 
 def arguments_of_law(name: str, kind: type[Any], arguments: str) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def tool_velocity(y: float, u: float, net: float, x: float, v: float, m: float, 
 
 
 @dataclass(frozen=True)
-class VirtualCouplingEnd:
+class VirtualCouplingWrapper:
     """The master's device is joined by a spring-damper to a simulated tool, which the law has in its place."""
 
     K: Annotated[float, Knob("N/m", "stiffness of the coupling", low=0.0)] = 400.0

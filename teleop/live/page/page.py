@@ -17,7 +17,7 @@ from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.reader import Row
 from teleop.protocol.session import OVER
-from teleop.storage.strict_json import Misshapen, written
+from teleop.storage.strict_json import Misshapen, json_text
 
 PERIOD = 1.0 / 60.0  # s between two pictures, and two orders to the hand, at least
 STATUS = 0.25  # s between two words on how the link is
@@ -388,7 +388,7 @@ class Page:
             self.clients.tell(said(level, sentence))
 
     def _hello(self) -> str:
-        return written({**self._controls.hello(self._turns.choice, self._scene), "state": self._state()})
+        return json_text({**self._controls.hello(self._turns.choice, self._scene), "state": self._state()})
 
     def _state(self) -> str:
         if self._lost:

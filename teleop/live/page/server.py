@@ -22,7 +22,7 @@ from websockets.http11 import Request, Response
 
 from teleop.errors import Refused, number_of
 from teleop.scene.axes import MOST_AXES
-from teleop.storage.strict_json import Check, Misshapen, each, optional, parse, real, record, text, truth
+from teleop.storage.strict_json import Check, Misshapen, list_of, optional, parse, real, record, text, truth
 
 METHODS = ("GET", "HEAD")
 HOST = "127.0.0.1"  # where the page listens
@@ -106,7 +106,7 @@ REACH = 10.0  # m from 0, in each axis: `master.steered` goes no further
 SLIDERS = ("delay", "jitter", "loss", "k_e")
 
 _SHAPES: dict[str, dict[str, Check]] = {
-    "hand": {"to": optional(each(real, most=MOST_AXES))},
+    "hand": {"to": optional(list_of(real, most=MOST_AXES))},
     "turn": {"law": text, **dict.fromkeys(SLIDERS, real)},
     "clutch": {"open": truth},
     "again": {},

@@ -24,7 +24,7 @@ from teleop.simulation.structure import structure_of
 from teleop.stages.end import SWITCHES
 from teleop.stages.wave_integral import Integrals
 from teleop.storage.files import open_regular
-from teleop.storage.strict_json import Misshapen, each, one_of, parse, record, text, whole
+from teleop.storage.strict_json import Misshapen, list_of, one_of, parse, record, text, whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,7 +39,7 @@ _SAME = ("end", "dt_ns", "axes", "scene", "knobs", "seed", "mode")  # as in the 
 _FLOATS = ("k", "since", "session", "fresh", "newest", "gain")  # columns that stand once; since: ticks since the last
 _HEADER = record({
     "version": whole(low=1), "end": one_of("m", "s"), "dt_ns": whole(low=1000, high=10**10),
-    "columns": each(text, most=1000), "mode": one_of("live", "lockstep"),
+    "columns": list_of(text, most=1000), "mode": one_of("live", "lockstep"),
 }, {"every": whole(low=1, high=MOST_EVERY)})
 
 

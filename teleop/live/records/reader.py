@@ -20,7 +20,7 @@ from teleop.simulation.structure import SENSED, columns
 from teleop.simulation.summary_shape import MOST_SEED
 from teleop.simulation.trace import EndRecord, ForceSource, blocks
 from teleop.storage.files import open_regular
-from teleop.storage.strict_json import Misshapen, each, named, one_of, parse, record, text, whole
+from teleop.storage.strict_json import Misshapen, dict_of, list_of, one_of, parse, record, text, whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,9 +37,9 @@ _BLOCK = 4096  # rows that are looked at together
 _LARGEST = float(1 << 53)  # a whole number that a float holds exactly
 _HEADER = record({
     "end": one_of("m", "s"), "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=MOST_AXES), "scene": text,
-    "knobs": named(text), "seed": whole(low=0, high=MOST_SEED), "mode": one_of("live", "lockstep"),
-    "columns": each(text, most=MOST_COLUMNS),
-}, {"every": whole(low=1, high=MOST_EVERY), "command": each(text), "force": one_of("sensor", "bodies", "unknown"),
+    "knobs": dict_of(text), "seed": whole(low=0, high=MOST_SEED), "mode": one_of("live", "lockstep"),
+    "columns": list_of(text, most=MOST_COLUMNS),
+}, {"every": whole(low=1, high=MOST_EVERY), "command": list_of(text), "force": one_of("sensor", "bodies", "unknown"),
     LAW: text, **SHAPES})
 
 

@@ -55,7 +55,7 @@ def stepped(method: IntegrationMethod, touch: Touch, dt: float, n: int) -> Plant
 
 
 def sub_step(method: IntegrationMethod, touch: Touch, h: float) -> tuple[float, ...]:
-    """The matrix of one sub-step of a linear body, in the order of `Linear`: the method applied to unit vectors."""
+    """The matrix of one sub-step of a linear body, in the order of `LinearStep`: the method applied to unit vectors."""
     bond = touch._replace(side=1.0, at=0.0, edge=-inf, floor=-inf)
     c = wall_coefficients(method, bond, h, 1)
     first, second = zip(*(method.move(c, *unit)[:2] for unit in ((1, 0, 0), (0, 1, 0), (0, 0, 1))), strict=True)
@@ -63,7 +63,7 @@ def sub_step(method: IntegrationMethod, touch: Touch, h: float) -> tuple[float, 
 
 
 def move_repeated(c: Any, x: float, v: float, f: float) -> tuple[float, float, int]:
-    """Take the matrix of a linear body's sub-step n times; c is (at, k, d), `Linear`, n."""
+    """Take the matrix of a linear body's sub-step n times; c is (at, k, d), `LinearStep`, n."""
     at, _, _, a11, a12, b1, a21, a22, b2, n = c
     q = x - at
     push, kick = b1 * f, b2 * f

@@ -27,7 +27,7 @@ OF_A_CALL = ("command", "engine", "why", "workers", "engines", "ran", "seconds",
 SENTENCES = 3  # that are shown
 _SHAPE = stored.record({}, {
     "scene": stored.text, "rows": stored.whole(low=0), "engine": stored.text, "why": stored.optional(stored.text),
-    "runs": stored.each(stored.record({})), "limits": stored.named(stored.real),
+    "runs": stored.list_of(stored.record({})), "limits": stored.dict_of(stored.real),
 })
 
 

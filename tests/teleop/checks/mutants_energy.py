@@ -63,7 +63,7 @@ def _asked_tank(self: TwoLayer, at: At) -> Any:
 
 
 def _asked_work(self: TwoLayer, s: AskedTank, at: At, rx: Any) -> Any:  # noqa: ARG001 - those of the law
-    return two_layer.Sums(s.f_was * at.dx, rx.f_s * rx.f_s, at.v * at.v)
+    return two_layer.TwoLayerSums(s.f_was * at.dx, rx.f_s * rx.f_s, at.v * at.v)
 
 
 def _asked(self: TwoLayer, s: AskedTank, at: At, rx: Any, over: Any) -> Any:
@@ -77,11 +77,11 @@ def _own_stored(self: Any, s: Any) -> Any:  # noqa: ARG001 - those of the law
 
 def _wrong_sign(self: TwoLayer, s: Any, at: At, rx: Any) -> Any:  # noqa: ARG001 - those of the law
     f = self.K * (rx.x - at.x) + self.B * (rx.v - at.v)
-    return two_layer.Sums(at.f_held * at.dx, f * f, at.v * at.v)
+    return two_layer.TwoLayerSums(at.f_held * at.dx, f * f, at.v * at.v)
 
 
 def _by_velocity(self: TwoLayer, s: Any, at: At, rx: Any) -> Any:  # noqa: ARG001 - those of the law
-    return two_layer.Sums(at.f_held * at.v * at.span, rx.f_s * rx.f_s, at.v * at.v)
+    return two_layer.TwoLayerSums(at.f_held * at.v * at.span, rx.f_s * rx.f_s, at.v * at.v)
 
 
 TWO_LAYER = (
@@ -109,7 +109,7 @@ def _modulated(*, taken: str = "fits", radius: str = "T", debt: str = "kept") ->
         go = 1.0 if radius == "free" else pspm.sqrt(min(2.0 * reach / max(K * over.aa, pspm.TINY), 1.0))
         gives = max(T - 0.5 * K * (go * go * over.aa) - E_max, 0.0)
         S = gives if taken == "quanta" else s.S + gives + (new - fits) * (taken == "all, and the rest sent on")
-        return pspm.End(x + go * (x_rx - x), T - gives, S, came)
+        return pspm.PSPMEnd(x + go * (x_rx - x), T - gives, S, came)
 
     return modulated
 
@@ -125,7 +125,7 @@ def _damped(bound: str) -> dict[str, Any]:
             e, a, B = at.x - s.y, rx.x - at.x, getattr(self, damping)
             took = B * at.v * at.v * at.span if bound == "v" else B * at.dx * at.dx / at.span
             w = 0.5 * self.K * (e * e - (e - at.dx) * (e - at.dx)) + took
-            return pspm.Sums(w, e * e, a * a)
+            return pspm.PSPMSums(w, e * e, a * a)
 
         return of
 
@@ -182,22 +182,22 @@ def _own_left(self: Any, s: Any) -> Any:  # noqa: ARG001 - those of the law
 
 def _capped(self: TDPA, s: Any, at: At, rx: Any, over: Any) -> Any:
     """The whole controller is one damper, of at most alpha_max."""
-    G, E = tdpa.observed(s.G, s.E, rx.E - s.seen, over.w, self.store)
+    G, E = tdpa.observe(s.G, s.E, rx.E - s.seen, over.w, self.store)
     least = self.v_min * self.v_min
     takes = min(max(-over.fv * at.dt - G, 0.0) / (at.dt * max(over.vv, least)), self.alpha_max)
-    return rx.f_s + takes * at.v, tdpa.Forth(at.x, at.v, E), tdpa.Master(G, E, rx.E)
+    return rx.f_s + takes * at.v, tdpa.Forth(at.x, at.v, E), tdpa.TDPAMaster(G, E, rx.E)
 
 
 def _rigid(self: TDPA, s: Any, at: At, rx: Any, over: Any) -> Any:
     """The command is scaled by what there is over the power that the force of now would have."""
     spent = max(over.asked, over.held)
     C = s.C + spent - over.out
-    G, E = tdpa.observed(s.G, s.E, rx.E - s.seen, min(C, 0.0) - spent, self.store + self.E0)
+    G, E = tdpa.observe(s.G, s.E, rx.E - s.seen, min(C, 0.0) - spent, self.store + self.E0)
     x_d, f_0, c = tdpa.commanded(self.K, self.B, self.drift, s.x_d + at.dx * (1.0 - at.dt / at.span), at.x, at.v,
                                  rx.x, rx.v, at.gain)
     v_d = c * min(max(G, 0.0) / max(at.dt * f_0 * c, tdpa.TINY), 1.0)
     f_s = f_0 + (self.B + self.K * at.dt) * v_d
-    after = tdpa.Slave(G, E, rx.E, x_d + at.dt * v_d, v_d, f_s, min(max(C, 0.0), self.store + over.P))
+    after = tdpa.TDPASlave(G, E, rx.E, x_d + at.dt * v_d, v_d, f_s, min(max(C, 0.0), self.store + over.P))
     return f_s, tdpa.Back(at.gain * f_s, E), after
 
 

@@ -14,13 +14,13 @@ from channel.delay import Delay as LinkDelay
 from teleop.analysis.passivity.two_port import sampled_two_port
 from teleop.law import injection
 from teleop.law.injection import least_damping, strongest
-from teleop.law.offers import Delay, Facts
+from teleop.law.offers import AgeRange, Facts
 from teleop.laws.pd_d import PDDamped
 from teleop.physics.plant import MassDamper
 from teleop.scene.scene import Scene
 
-CONSTANT = Facts(dt=1e-3, axes=1, mass_m=5.0, damping_m=0.0, mass_s=5.0, damping_s=0.0, fwd=Delay(0.05, 0.05),
-                 bwd=Delay(0.05, 0.05), lossy=False, playout="zero", held=1e-3)
+CONSTANT = Facts(dt=1e-3, axes=1, mass_m=5.0, damping_m=0.0, mass_s=5.0, damping_s=0.0, fwd=AgeRange(0.05, 0.05),
+                 bwd=AgeRange(0.05, 0.05), lossy=False, playout="zero", held=1e-3)
 
 
 @given(K_d=st.floats(0.0, 50.0), c=st.floats(0.0, 50.0))
@@ -98,10 +98,10 @@ class TestConditions:
         assert "law.B=20.4 is" in injection.conditions("P+d", bare, 400.0, 0.0, 0.0)[0]
 
     def test_a_delay_that_varies_counts_with_its_greatest(self) -> None:
-        ragged = CONSTANT._replace(fwd=Delay(0.01, 0.08), bwd=Delay(0.05, 0.06), lossy=True)
+        ragged = CONSTANT._replace(fwd=AgeRange(0.01, 0.08), bwd=AgeRange(0.05, 0.06), lossy=True)
         assert "law.B=28.4 is" in injection.conditions("P+d", ragged, 400.0, 0.0, 0.0)[0]  # 400 (0.14 + 0.002)/2
 
-    @pytest.mark.parametrize("changes", [{"lossy": True}, {"fwd": Delay(0.05, 0.07)}])
+    @pytest.mark.parametrize("changes", [{"lossy": True}, {"fwd": AgeRange(0.05, 0.07)}])
     def test_a_damper_over_the_link_takes_a_constant_delay(self, changes: Any) -> None:
         (told,) = injection.conditions("PD+d", CONSTANT._replace(**changes), 400.0, 2.0, 100.0)
         assert "constant delay" in told
@@ -114,7 +114,7 @@ class TestConditions:
     @given(K=st.floats(1.0, 1e4), K_d=st.floats(0.0, 20.0), least=st.floats(1e-3, 0.2), b=st.floats(0.0, 4.0))
     @settings(max_examples=40)
     def test_what_is_to_be_typed_is_enough(self, K: float, K_d: float, least: float, b: float) -> None:
-        facts = CONSTANT._replace(fwd=Delay(least, least), damping_m=b)
+        facts = CONSTANT._replace(fwd=AgeRange(least, least), damping_m=b)
         told = injection.conditions("PD+d", facts, K, K_d, 0.0)
         for sentence in told:
             B = float(sentence.partition("law.B=")[2].partition(" ")[0])

@@ -109,7 +109,7 @@ def test_so_do_comprehensions_and_lambdas_in_every_version_of_python() -> None:
 class Inherits(wave.Wave):
     """A law that has another as its base class."""
 
-    def slave(self, s: wave.Slave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.Slave]:
+    def slave(self, s: wave.WaveSlave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.WaveSlave]:
         return super().slave(s, at, rx)
 
 
@@ -117,7 +117,7 @@ class Inherits(wave.Wave):
 class Names(wave.Wave):
     """A law that names the class of another."""
 
-    def slave(self, s: wave.Slave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.Slave]:
+    def slave(self, s: wave.WaveSlave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.WaveSlave]:
         return Base.slave(self, s, at, rx)
 
 
@@ -127,7 +127,7 @@ class Keeps(wave.Wave):
 
     inner: wave.Wave = wave.Wave()
 
-    def slave(self, s: wave.Slave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.Slave]:
+    def slave(self, s: wave.WaveSlave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.WaveSlave]:
         return self.inner.slave(s, at, rx)
 
 

@@ -11,7 +11,7 @@ from channel import Bernoulli, Delay
 from channel.left_out import LeftOut
 from teleop import At, Fixed, Hold, Integral, Refused, Scene, Wave, Zero, load_scene, run
 from teleop.checks.trials import try_claims
-from teleop.law.offers import Delay as Ages
+from teleop.law.offers import AgeRange as Ages
 from teleop.law.offers import Facts, broken, seed_energy
 from teleop.physics.plant import MassDamper
 from teleop.scene.playout import Energy

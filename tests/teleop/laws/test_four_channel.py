@@ -13,12 +13,12 @@ from channel.delay import Delay
 from teleop import Refused, Scene, check_law, load_scene, run
 from teleop.analysis.passivity.two_port import continuous_two_port
 from teleop.law import At
-from teleop.law.offers import Delay as Age
-from teleop.laws.four_channel import Back, Coupling, Forth, FourChannel
+from teleop.law.offers import AgeRange as Age
+from teleop.laws.four_channel import Back, Forth, FourChannel, FourChannelEnd
 from teleop.physics.plant import MassDamper
 from tests.teleop.law.test_injection import CONSTANT
 
-SLACK = Coupling(0.0)
+SLACK = FourChannelEnd(0.0)
 MASTER, SLAVE = MassDamper(mass=0.1, damping=0.5), MassDamper(mass=0.5, damping=1.0)
 
 

@@ -13,7 +13,7 @@ from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from teleop import Refused, Scene, load_scene, run
 from teleop.analysis.stability.assess import stability
-from teleop.laws.iss import ISS, Back, Forth, Slave
+from teleop.laws.iss import ISS, Back, Forth, ISSSlave
 from teleop.physics.plant import MassDamper
 from tests.teleop.laws.test_p_d import at
 
@@ -26,12 +26,12 @@ def test_force_and_commanded_motion_solve_their_equations_together(
         K: float, B: float, mu: float, x: float, v: float, f: float, ticks: int) -> None:
     """f_s = K (x_d - x) + B (v_d - v) with x_d = x_m - f_s/mu and v_d = v_m - df_s/mu, over the span of the tick."""
     span = ticks * 1e-3
-    f_s, back, after = ISS(K=K, B=B, mu=mu).slave(Slave(f, 0.0), at(x, v, span=span), Forth(0.02, 0.3))
+    f_s, back, after = ISS(K=K, B=B, mu=mu).slave(ISSSlave(f, 0.0), at(x, v, span=span), Forth(0.02, 0.3))
     x_d, v_d = 0.02 - f_s / mu, 0.3 - back.df_s / mu
     size = K * (abs(x_d) + abs(x)) + B * (abs(v_d) + abs(v) + (abs(f_s) + abs(f)) / (mu * span)) + abs(f_s)
     assert f_s == pytest.approx(K * (x_d - x) + B * (v_d - v), abs=1e-12 * size)
     assert back == Back(f_s, (f_s - f) / span)
-    assert after == Slave(f_s, 0.0)
+    assert after == ISSSlave(f_s, 0.0)
 
 
 def test_the_hand_feels_the_force_with_its_lead() -> None:
@@ -66,7 +66,7 @@ def test_with_the_force_of_the_tick_before_it_diverges_beyond_a_loop_gain_of_one
     """2 B/(mu dt) + K/mu: 0.405 and 40.5, the published order of steps at a slave that does not move. Ours never."""
     law, dt = ISS(K=500.0, B=20.0, mu=mu), 1e-3
     f = df = 0.0
-    s = Slave(0.0, 0.0)
+    s = ISSSlave(0.0, 0.0)
     for _ in range(400):
         new = law.K * (0.01 - f / mu) - law.B * df / mu
         f, df = new, (new - f) / dt
@@ -76,7 +76,7 @@ def test_with_the_force_of_the_tick_before_it_diverges_beyond_a_loop_gain_of_one
 
 
 def test_a_slave_that_was_let_go_tells_of_no_force_and_takes_hold_slack() -> None:
-    f_s, back, s = ISS().slave(Slave(2.0, 0.0), at(0.0, 0.0, gain=0.0), Forth(0.2, 0.0))
+    f_s, back, s = ISS().slave(ISSSlave(2.0, 0.0), at(0.0, 0.0, gain=0.0), Forth(0.2, 0.0))
     assert back == Back(0.0, 0.0)
     assert s.offset == pytest.approx(0.2, rel=3e-3)
     assert abs(f_s) < 2.0

@@ -14,7 +14,16 @@ from hypothesis import strategies as st
 from teleop import Refused, load_scene, run
 from teleop.analysis.stability.assess import stability
 from teleop.law import At, start_at
-from teleop.laws.model_mediated import MOST, P_C, P_K, Back, Forth, Master, ModelMediated, Slave
+from teleop.laws.model_mediated import (
+    MOST,
+    P_C,
+    P_K,
+    Back,
+    Forth,
+    ModelMediated,
+    ModelMediatedMaster,
+    ModelMediatedSlave,
+)
 
 LAW = ModelMediated()
 
@@ -23,7 +32,7 @@ def at(x: float, *, v: float = 0.0, f: float = 0.0, f_held: float = 0.0, dx: flo
     return At(x, v, f, f_held, dx, True, 0.0, 1e-3, 1e-3, 1.0)
 
 
-def estimated(samples: Any, law: ModelMediated = LAW) -> tuple[Slave, Back]:
+def estimated(samples: Any, law: ModelMediated = LAW) -> tuple[ModelMediatedSlave, Back]:
     """The slave's state, and what it sends, after samples (x, f_env)."""
     s, _ = law.slave_start(start_at(0.0, 0.0, 0.0, 1e-3))
     sent = Back(0.0, 0.0, 0.0)
@@ -89,8 +98,8 @@ class TestContact:
     def test_before_the_first_one_there_is_no_model_and_the_hand_feels_the_damper(self) -> None:
         _, sent = estimated([(0.001 * i, 0.0) for i in range(50)])
         assert (sent.k, sent.side) == (0.0, 0.0)
-        f_m, _, s = LAW.master(Master(0.0, 0.0), at(0.05, v=0.3), sent)
-        assert (f_m, s) == (LAW.B_m * 0.3, Master(0.0, 0.0))
+        f_m, _, s = LAW.master(ModelMediatedMaster(0.0, 0.0), at(0.05, v=0.3), sent)
+        assert (f_m, s) == (LAW.B_m * 0.3, ModelMediatedMaster(0.0, 0.0))
 
     def test_after_it_the_model_stays_and_the_next_touch_begins_at_its_own_place(self) -> None:
         outside = [(0.02, 0.0)] * 500
@@ -112,14 +121,14 @@ class TestContact:
 
 class TestTheMasters:
     def test_force_is_that_of_the_model_where_the_energy_is_there(self) -> None:
-        f_m, _, s = LAW.master(Master(1.0, 0.0), at(0.033, v=0.1), Back(2000.0, 0.03, 1.0))
+        f_m, _, s = LAW.master(ModelMediatedMaster(1.0, 0.0), at(0.033, v=0.1), Back(2000.0, 0.03, 1.0))
         assert f_m == pytest.approx(2000.0 * 0.003 + LAW.B_m * 0.1)
         assert s.k == 2000.0
         assert s.stored == pytest.approx(0.5 * 2000.0 * 0.003**2 + LAW.E_max)  # what is above the tank's is dropped
 
     def test_a_stiffer_model_gets_no_more_than_spring_and_tank_have(self) -> None:
         """k' = min(k, 2 (V + tank)/p^2): 4 mJ at 3 mm is 888.9 N/m."""
-        f_m, _, s = LAW.master(Master(0.004, 100.0), at(0.033), Back(5000.0, 0.03, 1.0))
+        f_m, _, s = LAW.master(ModelMediatedMaster(0.004, 100.0), at(0.033), Back(5000.0, 0.03, 1.0))
         assert s.k == pytest.approx(2.0 * 0.004 / 0.003**2)
         assert f_m == pytest.approx(s.k * 0.003)
         assert 0.5 * s.k * 0.003**2 == pytest.approx(s.stored)

@@ -12,12 +12,12 @@ from teleop import Refused, Scene, Watchdog, load_scene, run
 from teleop.analysis.models.continuous import continuous
 from teleop.analysis.stability.assess import critical, is_stable
 from teleop.law import At, start_at
-from teleop.law.offers import Delay as Age
-from teleop.laws.p_d import Back, Coupling, Forth, PDamped
+from teleop.law.offers import AgeRange as Age
+from teleop.laws.p_d import Back, Forth, PDamped, PDampedEnd
 from teleop.physics.plant import MassDamper
 from tests.teleop.law.test_injection import CONSTANT
 
-SLACK = Coupling(0.0)
+SLACK = PDampedEnd(0.0)
 
 
 def at(x: float, v: float, gain: float = 1.0, span: float = 1e-3) -> At:

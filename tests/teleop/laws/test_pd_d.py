@@ -6,14 +6,14 @@ import pytest
 
 from teleop import Refused
 from teleop.analysis.models.continuous import continuous
-from teleop.law.offers import Delay
+from teleop.law.offers import AgeRange
 from teleop.laws import p_d
 from teleop.laws.p_d import PDamped
-from teleop.laws.pd_d import Back, Coupling, Forth, PDDamped
+from teleop.laws.pd_d import Back, Forth, PDDamped, PDDampedEnd
 from tests.teleop.law.test_injection import CONSTANT
 from tests.teleop.laws.test_p_d import at, masses
 
-SLACK = Coupling(0.0)
+SLACK = PDDampedEnd(0.0)
 
 
 def test_each_end_is_drawn_to_the_others_motion_and_damped_where_it_is() -> None:
@@ -30,8 +30,8 @@ def test_each_end_is_drawn_to_the_others_motion_and_damped_where_it_is() -> None
 def test_without_a_damper_over_the_link_it_is_p_d(gain: float) -> None:
     here = at(0.03, 0.2, gain=gain)
     both, alone = PDDamped(K=80.0, K_d=0.0, B=3.0), PDamped(K=80.0, B=3.0)
-    assert both.master(SLACK, here, Back(-0.01, 7.0))[0] == alone.master(p_d.Coupling(0.0), here, p_d.Back(-0.01))[0]
-    assert both.slave(SLACK, here, Forth(0.05, 7.0))[0] == alone.slave(p_d.Coupling(0.0), here, p_d.Forth(0.05))[0]
+    assert both.master(SLACK, here, Back(-0.01, 7.0))[0] == alone.master(p_d.PDampedEnd(0.0), here, p_d.Back(-0.01))[0]
+    assert both.slave(SLACK, here, Forth(0.05, 7.0))[0] == alone.slave(p_d.PDampedEnd(0.0), here, p_d.Forth(0.05))[0]
 
 
 @pytest.mark.parametrize(("K_d", "B"), [(0.0, 4.351309), (1.0, 2.709457), (2.5, 0.350966)])
@@ -50,7 +50,7 @@ def test_fitted_it_has_the_least_damping_that_its_condition_takes() -> None:
 
 
 def test_where_the_delay_varies_the_damper_over_the_link_goes() -> None:
-    ragged = CONSTANT._replace(fwd=Delay(0.02, 0.05))
+    ragged = CONSTANT._replace(fwd=AgeRange(0.02, 0.05))
     law = PDDamped(K=400.0, K_d=8.0, B=0.0)
     assert "constant delay" in law.conditions(ragged)[0]
     fitted = law.fitted(ragged)

@@ -21,7 +21,7 @@ from slave.wall import Wall
 from teleop.errors import Refused
 from teleop.law import At
 from teleop.laws.direct import Direct
-from teleop.laws.pfra import EPS, PFRA, Back, Sums
+from teleop.laws.pfra import EPS, PFRA, Back, PFRASums
 from teleop.physics.plant import MassDamper, free_space, move_free
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -41,7 +41,7 @@ def reflected(law: PFRA, f_env: Vector, f_h_hat: Vector) -> Vector:
     ats = [At(0.0, 0.0, f, nan, nan, True, nan, 1e-3) for f in f_h_hat]
     rxs = [Back(f) for f in f_env]
     sums = [law.master_sums((), at, rx) for at, rx in zip(ats, rxs, strict=True)]
-    over = Sums(*(reduce(add, values) for values in zip(*sums, strict=True)))
+    over = PFRASums(*(reduce(add, values) for values in zip(*sums, strict=True)))
     return tuple(law.master((), at, rx, over)[0] for at, rx in zip(ats, rxs, strict=True))
 
 

@@ -18,7 +18,7 @@ from slave.tissue import Tissue
 from slave.wall import Wall
 from teleop import At, MassDamper, Scene, run
 from teleop.law.offers import Facts
-from teleop.laws.pfra import EPS, PFRA, Back, Sums
+from teleop.laws.pfra import EPS, PFRA, Back, PFRASums
 from teleop.physics.plant import free_space, move_free
 
 Vector = tuple[float, ...]
@@ -35,7 +35,7 @@ def reflected(law: PFRA, f_env: Vector, f_h: Vector, v: Vector | None = None) ->
     ats = [At(0.0, speed, f, NAN, NAN, True, NAN, 1e-3) for f, speed in zip(f_h, speeds, strict=True)]
     rxs = [Back(f) for f in f_env]
     sums = [law.master_sums((), at, rx) for at, rx in zip(ats, rxs, strict=True)]
-    over = Sums(*(reduce(add, values) for values in zip(*sums, strict=True)))
+    over = PFRASums(*(reduce(add, values) for values in zip(*sums, strict=True)))
     return np.array([law.master((), at, rx, over)[0] for at, rx in zip(ats, rxs, strict=True)])
 
 

@@ -11,13 +11,13 @@ from teleop import Refused, Scene
 from teleop.analysis.models.continuous import continuous
 from teleop.analysis.passivity.judge import two_ports
 from teleop.analysis.stability.assess import stability
-from teleop.law.offers import Delay as Age
-from teleop.laws.pp import Back, Coupling, Forth, PositionPosition
+from teleop.law.offers import AgeRange as Age
+from teleop.laws.pp import Back, Forth, PositionPosition, PositionPositionEnd
 from teleop.physics.plant import MassDamper
 from tests.teleop.law.test_injection import CONSTANT
 from tests.teleop.laws.test_p_d import at
 
-SLACK = Coupling(0.0)
+SLACK = PositionPositionEnd(0.0)
 HANDLE = MassDamper(mass=0.04, damping=0.8)
 
 

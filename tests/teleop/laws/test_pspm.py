@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from teleop.errors import Refused
 from teleop.law import At
 from teleop.law.offers import seed_energy
-from teleop.laws.pspm import PSPM, Back, End, Sums
+from teleop.laws.pspm import PSPM, Back, PSPMEnd, PSPMSums
 from teleop.scene.loading import load_scene
 from teleop.simulation.notes import facts_of
 from teleop.simulation.virtual import run
@@ -26,7 +26,7 @@ def at(x: float = 0.0, v: float = 0.0, f_held: float = 0.0, dx: float = 0.0) -> 
     return At(x, v, float("nan"), f_held, dx, True, 0.0, DT, DT, 1.0)
 
 
-def master(law: PSPM, s: End, here: At, rx: Back) -> tuple[float, End]:
+def master(law: PSPM, s: PSPMEnd, here: At, rx: Back) -> tuple[float, PSPMEnd]:
     """Force and state after one tick in one axis."""
     f_m, _, after = law.master(s, here, rx, law.master_sums(s, here, rx))
     return f_m, after
@@ -54,7 +54,7 @@ def test_tracking_of_ten_seconds_over_50_ms(scene: str, wanted: str) -> None:
 def test_a_set_point_goes_as_far_as_the_energy_does() -> None:
     """A worked example: y' at x 0.02, y 0.015, E 1e-3 and the other end at 0.05."""
     law = PSPM()
-    s = End(0.015, 1e-3 + 0.5 * law.K * 0.005**2, 0.0, 0.0)
+    s = PSPMEnd(0.015, 1e-3 + 0.5 * law.K * 0.005**2, 0.0, 0.0)
     _, after = master(law, s, at(0.02), Back(0.05, 0.0))
     assert f"{after.y:.7f}" == "0.0253852"
     assert after.y - 0.02 == pytest.approx(sqrt(0.005**2 + 2e-3 / law.K), rel=1e-12)
@@ -65,7 +65,7 @@ def test_the_energy_of_the_spring_is_never_more_than_the_end_keeps(
     x: float, y: float, other: float, T: float, came: float, w: float
 ) -> None:
     law = PSPM()
-    _, after = master(law, End(y, T, 0.0, 0.0), at(x, f_held=1.0, dx=w), Back(other, came))
+    _, after = master(law, PSPMEnd(y, T, 0.0, 0.0), at(x, f_held=1.0, dx=w), Back(other, came))
     spring = 0.5 * law.K * (x - after.y) ** 2
     assert spring <= max(after.T, 0.0) * (1.0 + 1e-9) + 1e-18
     assert min(x, other) - 1e-15 <= after.y <= max(x, other) + 1e-15
@@ -77,14 +77,14 @@ def test_the_energy_of_the_spring_is_never_more_than_the_end_keeps(
 
 def test_an_end_without_energy_has_its_set_point_at_itself_and_is_only_damped() -> None:
     law = PSPM()
-    f_m, after = master(law, End(0.1, -1e-3, 0.0, 0.0), at(0.02, v=0.3), Back(0.5, 0.0))
+    f_m, after = master(law, PSPMEnd(0.1, -1e-3, 0.0, 0.0), at(0.02, v=0.3), Back(0.5, 0.0))
     assert (after.y, f_m) == (0.02, pytest.approx(law.B_m * 0.3))
 
 
 def test_three_axes_share_one_radius() -> None:
-    law, s, rest = PSPM(), End(0.0, 1e-3, 0.0, 0.0), at()
+    law, s, rest = PSPM(), PSPMEnd(0.0, 1e-3, 0.0, 0.0), at()
     others = (0.06, -0.03, 0.02)
-    over = Sums(*np.sum([law.master_sums(s, rest, Back(x, 0.0)) for x in others], axis=0).tolist())
+    over = PSPMSums(*np.sum([law.master_sums(s, rest, Back(x, 0.0)) for x in others], axis=0).tolist())
     ends = [law.master(s, rest, Back(x, 0.0), over)[2] for x in others]
     points = np.array([end.y for end in ends])
     assert np.linalg.norm(points) == pytest.approx(sqrt(2e-3 / law.K))
@@ -96,7 +96,7 @@ def test_a_device_that_is_let_have_less_force_keeps_what_it_did_not_spend() -> N
     """The motor held a quarter of f = K (y - x) over a motion towards y: three quarters of the spring's are left."""
     law, T = PSPM(E_max=1.0), 0.5 * 500.0 * 0.01**2
     f, d = 0.25 * 500.0 * 0.01, -1e-4
-    _, after = master(law, End(0.0, T, 0.0, 0.0), at(0.01 + d, f_held=f, dx=d), Back(0.01 + d, 0.0))
+    _, after = master(law, PSPMEnd(0.0, T, 0.0, 0.0), at(0.01 + d, f_held=f, dx=d), Back(0.01 + d, 0.0))
     assert pytest.approx(T + f * d, rel=1e-12) == after.T
 
 

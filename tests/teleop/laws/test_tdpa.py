@@ -16,7 +16,7 @@ from teleop.checks.trials import capped_scene
 from teleop.errors import Refused
 from teleop.law import At
 from teleop.law.offers import seed_energy
-from teleop.laws.tdpa import PAYS, TDPA, Back, Forth, Master, MasterSums, Slave, SlaveSums
+from teleop.laws.tdpa import PAYS, TDPA, Back, Forth, TDPAMaster, TDPAMasterSums, TDPASlave, TDPASlaveSums
 from teleop.scene.loading import load_scene
 from teleop.simulation.notes import facts_of
 from teleop.simulation.virtual import run
@@ -33,16 +33,16 @@ def at(x: float = 0.0, v: float = 0.0, f_held: float = 0.0, dx: float = 0.0, gai
     return At(x, v, float("nan"), f_held, dx, True, 0.0, DT, DT, gain)
 
 
-def began(G: float, x_d: float) -> Slave:
+def began(G: float, x_d: float) -> TDPASlave:
     """A slave with G (J) to give out, a commanded point (m) that does not move, and a coupling that burned enough."""
-    return Slave(G, 0.0, 0.0, x_d, 0.0, 0.0, ENOUGH)
+    return TDPASlave(G, 0.0, 0.0, x_d, 0.0, 0.0, ENOUGH)
 
 
-def slave(law: TDPA, s: Slave, here: At, rx: Forth) -> tuple[float, Back, Slave]:
+def slave(law: TDPA, s: TDPASlave, here: At, rx: Forth) -> tuple[float, Back, TDPASlave]:
     return law.slave(s, here, rx, law.slave_sums(s, here, rx))
 
 
-def master(law: TDPA, s: Master, here: At, rx: Back) -> tuple[float, Forth, Master]:
+def master(law: TDPA, s: TDPAMaster, here: At, rx: Back) -> tuple[float, Forth, TDPAMaster]:
     return law.master(s, here, rx, law.master_sums(s, here, rx))
 
 
@@ -72,7 +72,7 @@ def test_one_step_of_the_slave() -> None:
 
 @pytest.mark.parametrize(("G", "wanted"), [(1e-4, "2.00000"), (-1e-4, "-2.00000")])
 def test_one_step_of_the_master_that_is_pushed(G: float, wanted: str) -> None:
-    f_m, _, _ = master(TDPA(), Master(G, 0.0, 0.0), at(v=-0.05), Back(4.0, 0.0))
+    f_m, _, _ = master(TDPA(), TDPAMaster(G, 0.0, 0.0), at(v=-0.05), Back(4.0, 0.0))
     assert f"{f_m:.5f}" == wanted
 
 
@@ -98,7 +98,7 @@ def test_three_axes_ask_for_no_more_than_there_is(
 ) -> None:
     law = TDPA()
     given_to = [(began(G, x_d), at(x, v), Forth(x_rx, v_rx, 0.0)) for x_d, x, v, x_rx, v_rx in axes]
-    over = SlaveSums(*np.sum([law.slave_sums(*each) for each in given_to], axis=0).tolist())
+    over = TDPASlaveSums(*np.sum([law.slave_sums(*each) for each in given_to], axis=0).tolist())
     asked = [(f_s, after.v_d) for f_s, _, after in (law.slave(*each, over) for each in given_to)]
     size = sum(f * f for f, _ in asked)
     assert DT * sum(f * v for f, v in asked) <= G + 1e-12 * (1.0 + size)
@@ -107,15 +107,15 @@ def test_three_axes_ask_for_no_more_than_there_is(
 def test_a_master_that_owes_no_longer_resists_with_more_than_a_damper() -> None:
     """At 10 mm/s a force of 35 N turned a light handle round in every tick and pushed it: 29 mJ in 0.2 s."""
     law, rx, here = TDPA(alpha_max=40.0), Back(35.0, 0.0), at(v=0.01)
-    assert master(law, Master(-1e-4, 0.0, 0.0), here, rx)[0] == pytest.approx(35.0 + 40.0 * 0.01)
-    assert master(law, Master(-1e-3, 0.0, 0.0), here, rx)[0] == pytest.approx(2.0 * 40.0 * 0.01)  # and what it owes
+    assert master(law, TDPAMaster(-1e-4, 0.0, 0.0), here, rx)[0] == pytest.approx(35.0 + 40.0 * 0.01)
+    assert master(law, TDPAMaster(-1e-3, 0.0, 0.0), here, rx)[0] == pytest.approx(2.0 * 40.0 * 0.01)  # and what it owes
 
 
 @given(G=st.floats(-1e-3, 1e-3), forces=st.lists(st.tuples(st.floats(-9.0, 9.0), speed), min_size=3, max_size=3))
 def test_a_master_is_pushed_by_no_more_than_there_is(G: float, forces: list[tuple[float, float]]) -> None:
     law = TDPA(alpha_max=0.0, debt=1.0)
-    given_to = [(Master(G, 0.0, 0.0), at(v=v), Back(f, 0.0)) for f, v in forces]
-    over = MasterSums(*np.sum([law.master_sums(*each) for each in given_to], axis=0).tolist())
+    given_to = [(TDPAMaster(G, 0.0, 0.0), at(v=v), Back(f, 0.0)) for f, v in forces]
+    over = TDPAMasterSums(*np.sum([law.master_sums(*each) for each in given_to], axis=0).tolist())
     power = sum(law.master(*each, over)[0] * each[1].v for each in given_to)
     assert -DT * power <= max(G, 0.0) + 1e-12
     if sum(f * v for f, v in forces) >= 0.0:
@@ -124,15 +124,15 @@ def test_a_master_is_pushed_by_no_more_than_there_is(G: float, forces: list[tupl
 
 def test_what_comes_in_pays_the_debt_first_and_the_rest_is_told() -> None:
     """w = 5 mJ on an end that owes 2 mJ: 3 mJ are told. The debt's part is spent, so the other end may not have it."""
-    _, forth, after = master(TDPA(), Master(-2e-3, 1e-3, 0.0), at(f_held=5.0, dx=1e-3), Back(0.0, 0.0))
+    _, forth, after = master(TDPA(), TDPAMaster(-2e-3, 1e-3, 0.0), at(f_held=5.0, dx=1e-3), Back(0.0, 0.0))
     assert (pytest.approx(0.0, abs=1e-18), pytest.approx(4e-3)) == (after.G, forth.E)
-    _, forth, after = master(TDPA(), Master(2e-3, 1e-3, 0.0), at(f_held=-5.0, dx=1e-3), Back(0.0, 1e-3))
+    _, forth, after = master(TDPA(), TDPAMaster(2e-3, 1e-3, 0.0), at(f_held=-5.0, dx=1e-3), Back(0.0, 1e-3))
     assert (pytest.approx(-2e-3), 1e-3) == (after.G, forth.E)
 
 
 def test_the_power_based_variant_lends_nothing_of_the_past() -> None:
     for store, wanted in ((1.0, 3e-3), (0.0, 1e-3), (1e-3, 2e-3)):
-        _, _, after = master(TDPA(store=store), Master(2e-3, 0.0, 4e-3), at(), Back(0.0, 5e-3))
+        _, _, after = master(TDPA(store=store), TDPAMaster(2e-3, 0.0, 4e-3), at(), Back(0.0, 5e-3))
         assert pytest.approx(wanted) == after.G
     _, _, kept = slave(TDPA(store=0.0), began(0.05, 0.0), at(), Forth(0.0, 0.0, 0.0))
     assert kept.G == 0.05  # E0 stays, or nothing would ever move
@@ -165,8 +165,8 @@ def test_a_watchdog_that_lets_go_and_takes_hold_again_gives_out_no_more_than_the
 def test_a_master_that_owes_resists_in_each_axis_by_no_more_than_its_own_motion() -> None:
     """193 N were held against 0.025 m/s of one axis, for the motion of another: a light master turned round."""
     law, along, across = TDPA(), 0.8, 0.02
-    over = MasterSums(0.0, 6.0 * along + 190.0 * across, along**2 + across**2)
-    owes = Master(-0.5, 0.0, 0.0)
+    over = TDPAMasterSums(0.0, 6.0 * along + 190.0 * across, along**2 + across**2)
+    owes = TDPAMaster(-0.5, 0.0, 0.0)
     given = [law.master(owes, at(v=v), Back(f, 0.0), over)[0] for v, f in ((along, 6.0), (across, 190.0))]
     damped = law.alpha_max
     assert given == pytest.approx([6.0 + damped * along, damped * across + damped * across])
@@ -174,11 +174,11 @@ def test_a_master_that_owes_resists_in_each_axis_by_no_more_than_its_own_motion(
 
 def test_an_end_that_overspent_is_damped_until_it_is_paid_and_no_faster_than_alpha_max() -> None:
     law = TDPA()
-    f_m, _, _ = master(law, Master(-1.0, 0.0, 0.0), at(v=0.2), Back(0.0, 0.0))
+    f_m, _, _ = master(law, TDPAMaster(-1.0, 0.0, 0.0), at(v=0.2), Back(0.0, 0.0))
     assert f_m == pytest.approx(law.alpha_max * 0.2)
-    f_m, _, _ = master(law, Master(-1e-6, 0.0, 0.0), at(v=0.2), Back(0.0, 0.0))
+    f_m, _, _ = master(law, TDPAMaster(-1e-6, 0.0, 0.0), at(v=0.2), Back(0.0, 0.0))
     assert f_m * 0.2 * DT == pytest.approx(1e-6)
-    f_m, _, _ = master(law, Master(-1e-9, 0.0, 0.0), at(v=1e-5), Back(0.0, 0.0))
+    f_m, _, _ = master(law, TDPAMaster(-1e-9, 0.0, 0.0), at(v=1e-5), Back(0.0, 0.0))
     assert f_m == pytest.approx(1e-9 / (DT * law.v_min**2) * 1e-5)
 
 

@@ -17,7 +17,7 @@ from channel.uniform import UniformJitter
 from teleop.errors import Refused
 from teleop.law import At, start_at
 from teleop.law.offers import seed_energy
-from teleop.laws.two_layer import Back, Forth, Sums, Tank, TwoLayer
+from teleop.laws.two_layer import Back, Forth, Tank, TwoLayer, TwoLayerSums
 from teleop.scene.loading import load_scene
 from teleop.simulation.notes import facts_of
 from teleop.simulation.virtual import run
@@ -101,7 +101,7 @@ def test_the_hand_fills_the_masters_tank_and_the_slaves_stays_without_such_a_dam
 def test_what_three_axes_ask_for_is_scaled_by_one_share() -> None:
     law = TwoLayer(beta=0.0, H_d=0.0)
     forces, s, rest = (6.0, -3.0, 2.0), Tank(0.01, 0.0, 0.0), at()
-    over = Sums(*np.sum([law.master_sums(s, rest, Back(f, 0.0)) for f in forces], axis=0).tolist())
+    over = TwoLayerSums(*np.sum([law.master_sums(s, rest, Back(f, 0.0)) for f in forces], axis=0).tolist())
     got = [law.master(s, rest, Back(f, 0.0), over)[0] for f in forces]
     assert np.linalg.norm(got) == pytest.approx(sqrt(2.0 * 500.0 * 0.01))
     assert np.array(got) / got[0] == pytest.approx(np.array(forces) / forces[0])

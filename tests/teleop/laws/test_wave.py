@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from teleop.errors import Refused
 from teleop.law import At, start_at
-from teleop.laws.wave import Back, Forth, Slave, Wave
+from teleop.laws.wave import Back, Forth, Wave, WaveSlave
 
 
 def spread(low: float, high: float) -> st.SearchStrategy[float]:
@@ -64,7 +64,7 @@ def test_the_slaves_power_is_that_of_its_waves(
     The commanded point starts at 0, so that v_d = x_d/dt keeps all its digits. What it cannot keep below
     one part in 2^53 of the position is a force of K times that.
     """
-    f_s, (w,), (x_d, _) = Wave(b=b, K=K, B=B).slave(Slave(0.0), at(x=x, v=v, dt=dt), Forth(u))
+    f_s, (w,), (x_d, _) = Wave(b=b, K=K, B=B).slave(WaveSlave(0.0), at(x=x, v=v, dt=dt), Forth(u))
     v_d = x_d / dt
     grain = 1e-15 * (K * (abs(x) + abs(x_d)) + B * (abs(v) + abs(v_d)))
     near = 5e-14 * (abs(f_s * v_d) + u * u + w * w) + grain * (abs(v_d) + abs(w) / sqrt(b / 2.0))
@@ -78,7 +78,7 @@ def test_a_steady_motion_goes_on_after_ticks_that_were_left_out_as_if_there_had_
     """Steady: v_d = v under u = sqrt(b/2) v + f_s/sqrt(2b), at any gap. It drifted by v dt for each tick left out."""
     law, dt, ahead = Wave(b=b, K=K, B=B), 1e-3, 0.01
     u = (b * v + K * ahead) / sqrt(2.0 * b)
-    s = Slave(ahead, v)
+    s = WaveSlave(ahead, v)
     for ticks in (1, gap):
         here = at(0.0, v)._replace(x=ticks * dt * v, span=ticks * dt)
         f_s, (w,), after = law.slave(s, here, Forth(u))
@@ -104,7 +104,7 @@ def test_velocity_and_force_of_the_slaves_port_solve_their_two_equations_togethe
             mpmath.matrix([mpmath.sqrt(2 * mb) * mu, -mK * (mx_d - mx) + mB * mv]),
         )
         w = mu - mpmath.sqrt(2 / mb) * f
-        got_f, (got_w,), (got_x_d, _) = Wave(b=b, K=K, B=B).slave(Slave(x_d), at(x, v, dt), Forth(u))
+        got_f, (got_w,), (got_x_d, _) = Wave(b=b, K=K, B=B).slave(WaveSlave(x_d), at(x, v, dt), Forth(u))
         # A position is known to one part in 2^53 and the spring makes that a force.
         spring, damper = K * (abs(x) + abs(x_d) + dt * abs(v_d)), B * (abs(v) + abs(v_d))
         grain = 2e-15 * (spring + damper + abs(f) + sqrt(2 * b) * abs(u))
@@ -118,8 +118,8 @@ def test_velocity_and_force_of_the_slaves_port_solve_their_two_equations_togethe
 def test_a_missing_wave_counts_as_zero_whatever_came_before(b: float, v: float, w: float, x: float) -> None:
     law = Wave(b=b)
     assert law.master((), at(v=v, fresh=False), Back(w)) == law.master((), at(v=v), Back(0.0))
-    stale = law.slave(Slave(x), at(x, v, fresh=False), Forth(w))
-    assert stale == law.slave(Slave(x), at(x, v), Forth(0.0))
+    stale = law.slave(WaveSlave(x), at(x, v, fresh=False), Forth(w))
+    assert stale == law.slave(WaveSlave(x), at(x, v), Forth(0.0))
 
 
 def test_it_starts_at_rest_where_the_slave_is() -> None:
@@ -149,7 +149,7 @@ def impedance(law: Wave, frequency: float, delay: int, *, seconds: int = 2) -> c
     """
     dt, count = 1e-3, 1000 * seconds
     forth, back = [Forth(0.0)] * delay, [Back(0.0)] * delay
-    state = Slave(0.0)
+    state = WaveSlave(0.0)
     speeds, forces = [], []
     for k in range(count):
         v = np.cos(2.0 * pi * frequency * k * dt)

@@ -14,7 +14,7 @@ from channel.delay import Delay
 from teleop import At, Scene, load_scene, run
 from teleop.analysis.passivity.two_port import continuous_two_port
 from teleop.laws.wave import Wave
-from teleop.laws.wave_filter import Back, Forth, Slave, WaveFilter, low_pass
+from teleop.laws.wave_filter import Back, Forth, WaveFilter, WaveFilterSlave, low_pass
 from teleop.physics.plant import MassDamper
 
 NAN = float("nan")
@@ -97,7 +97,7 @@ def test_without_a_lag_it_is_the_wave_law() -> None:
 
 def test_a_slave_that_may_hold_no_force_returns_nothing_of_what_it_filtered() -> None:
     law = WaveFilter()
-    _, back, _ = law.slave(Slave(1.0, 1.0, 0.1, 0.0), at(0.2, gain=0.0), Forth(1.5))
+    _, back, _ = law.slave(WaveFilterSlave(1.0, 1.0, 0.1, 0.0), at(0.2, gain=0.0), Forth(1.5))
     assert back.w == pytest.approx(0.0, abs=1e-15)
 
 

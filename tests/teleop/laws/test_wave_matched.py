@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from channel.delay import Delay
 from teleop import At, Scene, Watchdog, load_scene, run
 from teleop.analysis.passivity.two_port import continuous_two_port
-from teleop.laws.wave_matched import Back, Forth, Point, WaveMatched
+from teleop.laws.wave_matched import Back, Forth, WaveMatched, WaveMatchedEnd
 from teleop.physics.plant import MassDamper
 
 NAN = float("nan")
@@ -51,7 +51,7 @@ def reflected(law: WaveMatched, end: str, w: float, dt: float) -> complex:
     """Wave sent over wave received of a held device, at w rad/s, from the tick as a linear map of (x_d, wave)."""
     def tick(x_d: float, wave: float) -> tuple[float, float]:
         rx = Back(wave) if end == "master" else Forth(wave)
-        _, tx, s = getattr(law, end)(Point(x_d, 0.0), at(dt=dt), rx)
+        _, tx, s = getattr(law, end)(WaveMatchedEnd(x_d, 0.0), at(dt=dt), rx)
         return s.x_d, tx[0]
 
     (a, c), (b, d) = tick(1.0, 0.0), tick(0.0, 1.0)
@@ -68,7 +68,7 @@ def test_the_power_of_an_ends_waves_is_that_of_its_point_whatever_it_holds(
     """f of the channel and v_d: (u^2 - w^2)/2 = f v_d, f the device's g f and a damper's (1 - g) b v_d."""
     law = WaveMatched(b=b, K=K)
     rx = Back(wave) if end == "master" else Forth(wave)
-    force, (sent,), s = getattr(law, end)(Point(0.0, 0.0), at(x, v, gain=gain), rx)
+    force, (sent,), s = getattr(law, end)(WaveMatchedEnd(0.0, 0.0), at(x, v, gain=gain), rx)
     into = gain * force - (1.0 - gain) * b * s.v_d if end == "master" else gain * force + (1.0 - gain) * b * s.v_d
     u, w = (sent, wave) if end == "master" else (wave, sent)
     size = 1e-11 * (1.0 + u * u + w * w + K * x * x + b * v * v) * (1.0 + K * 1e-3 / b)
@@ -94,7 +94,7 @@ def test_a_steady_motion_goes_on_after_ticks_that_were_left_out(v: float, gap: i
     for end in ("master", "slave"):  # v_d = v and no force: both waves are sqrt(b/2) v
         rx = (Back if end == "master" else Forth)(sqrt(law.b / 2.0) * v)
         here = at((gap + 1) * dt * v, v, gap=gap)
-        force, (sent,), s = getattr(law, end)(Point(0.0, v), here, rx)
+        force, (sent,), s = getattr(law, end)(WaveMatchedEnd(0.0, v), here, rx)
         assert force == pytest.approx(0.0, abs=1e-9)
         assert s.x_d == pytest.approx((gap + 1) * dt * v, abs=1e-12)
         assert sent == pytest.approx(sqrt(law.b / 2.0) * v, abs=1e-9)
@@ -107,5 +107,5 @@ def test_a_master_that_took_hold_again_pulled_the_hand_by_a_spring_that_nobody_h
     assert trace["E_port"].min() >= -1e-4
     law = WaveMatched()
     for gain in (0.0, 0.5):
-        _, _, s = law.master(Point(0.0, 0.0), at(0.02, gain=gain), Back(0.0))
+        _, _, s = law.master(WaveMatchedEnd(0.0, 0.0), at(0.02, gain=gain), Back(0.0))
         assert abs(0.02 - s.x_d) <= gain * 0.02 + 1e-12

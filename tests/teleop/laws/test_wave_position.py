@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from channel.delay import Delay
 from teleop import At, MassDamper, Scene, Wave, Zero, load_scene, run
 from teleop.analysis.passivity.two_port import continuous_two_port, sampled_two_port
-from teleop.law.offers import Delay as Ages
+from teleop.law.offers import AgeRange as Ages
 from teleop.law.offers import Facts
-from teleop.laws.wave_position import Back, Forth, Slave, WavePosition
+from teleop.laws.wave_position import Back, Forth, WavePosition, WavePositionSlave
 
 NAN = float("nan")
 
@@ -116,8 +116,8 @@ def test_it_is_the_wave_law_and_springs_and_dampers_beside_it(x: float, v: float
     f, sent, _ = wave_law.master((), at(x, v), plain.Back(wave))
     assert f_m == pytest.approx(f + beside, abs=1e-12)
     assert (forth.u, forth.x) == (sent.u, x)
-    f_s, back, s = law.slave(Slave(0.01, 0.0), at(x, v), Forth(wave, other))
-    f, returned, same = wave_law.slave(plain.Slave(0.01, 0.0), at(x, v), plain.Forth(wave))
+    f_s, back, s = law.slave(WavePositionSlave(0.01, 0.0), at(x, v), Forth(wave, other))
+    f, returned, same = wave_law.slave(plain.WaveSlave(0.01, 0.0), at(x, v), plain.Forth(wave))
     assert f_s == pytest.approx(f - beside, abs=1e-12)
     assert (back.w, back.x, tuple(s)) == (returned.w, x, tuple(same))
 

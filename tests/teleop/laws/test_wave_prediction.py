@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import At, Integral, Wave, Zero, load_scene, run
-from teleop.law.offers import Delay, Facts
-from teleop.laws.wave_prediction import Back, Forth, Master, Slave, WavePrediction
+from teleop.law.offers import AgeRange, Facts
+from teleop.laws.wave_prediction import Back, Forth, WavePrediction, WavePredictionMaster, WavePredictionSlave
 
 NAN = float("nan")
 
@@ -108,19 +108,19 @@ def test_the_slave_returns_the_guess_that_came_and_the_wave_laws_answer() -> Non
 
     for gain in (0.0, 0.4, 1.0):
         here = at(0.3)._replace(gain=gain)
-        f_s, back, s = WavePrediction().slave(Slave(0.01, 0.1), here, Forth(1.2, -0.7))
-        f, answer, same = Wave().slave(plain.Slave(0.01, 0.1), here, plain.Forth(1.2))
+        f_s, back, s = WavePrediction().slave(WavePredictionSlave(0.01, 0.1), here, Forth(1.2, -0.7))
+        f, answer, same = Wave().slave(plain.WaveSlave(0.01, 0.1), here, plain.Forth(1.2))
         assert (f_s, tuple(s), back.guess) == (f, tuple(same), -0.7)
         assert back.w == pytest.approx(answer.w, abs=1e-12)
 
 
 def test_it_starts_at_rest_with_nothing_to_spend() -> None:
     s, held = WavePrediction().master_start(at(0.0))
-    assert (s, held) == (Master(*[0.0] * len(Master._fields)), Back(0.0, 0.0))
+    assert (s, held) == (WavePredictionMaster(*[0.0] * len(WavePredictionMaster._fields)), Back(0.0, 0.0))
 
 
 def facts(mass: float, damping: float, T: float = 0.08) -> Facts:
-    return Facts(1e-3, 1, 0.1, 0.5, mass, damping, Delay(T, T), Delay(0.01, 0.01), False, "zero", 1e-3)
+    return Facts(1e-3, 1, 0.1, 0.5, mass, damping, AgeRange(T, T), AgeRange(0.01, 0.01), False, "zero", 1e-3)
 
 
 def test_fitted_to_a_slave_it_models_that_slave_and_takes_its_time_from_the_link() -> None:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import At, Wave, Zero, load_scene, run
-from teleop.laws.wave_scaled import Back, Scaling, WaveScaled, scaled
+from teleop.laws.wave_scaled import Back, ScaledWave, WaveScaled, scale_wave
 
 NAN = float("nan")
 
@@ -54,11 +54,11 @@ def test_so_it_is_packet_by_packet_with_the_newest_at_every_tick(slope: float, t
     k = np.arange(count)
     sent = u(k * dt)
     newest = np.floor(k - triangle(k * dt, slope) / dt + 1e-9).astype(int)  # its delay is that of the tick it comes at
-    played, unscaled, s, last = [], [], Scaling(1.0, 0.0, 0.0, 0.0), -1
+    played, unscaled, s, last = [], [], ScaledWave(1.0, 0.0, 0.0, 0.0), -1
     for now in k:
         at_hand = int(newest[now])
         age = (now - at_hand) * dt if at_hand >= 0 else float("inf")
-        s = scaled(s.g2, s.S, s.p, s.r, sent[at_hand] if at_hand >= 0 else 0.0, at_hand > last, age, tau, dt, dt)
+        s = scale_wave(s.g2, s.S, s.p, s.r, sent[at_hand] if at_hand >= 0 else 0.0, at_hand > last, age, tau, dt, dt)
         played.append(s.p)
         unscaled.append(sent[at_hand] if at_hand >= 0 else 0.0)
         last = max(last, at_hand)
@@ -89,11 +89,11 @@ waves = st.lists(st.tuples(st.floats(-5.0, 5.0), st.booleans(), st.integers(0, 3
 @given(came=waves, tau=st.sampled_from([0.0, 0.003, 0.05, 1.0]))
 def test_what_is_played_is_never_more_than_came(came: list[tuple[float, bool, int]], tau: float) -> None:
     """Ticks left out among them: what a wave held over them overdraws is paid before anything more is played."""
-    dt, s, newest = 1e-3, Scaling(1.0, 0.0, 0.0, 0.0), 0.0
+    dt, s, newest = 1e-3, ScaledWave(1.0, 0.0, 0.0, 0.0), 0.0
     for wave, fresh, gap in came:
         newest = wave if fresh else newest
         overdrawn = min(s.S + dt * gap * (s.r**2 - s.p**2) / 2.0, 0.0)
-        s = scaled(s.g2, s.S, s.p, s.r, newest, fresh, 0.05, tau, dt, dt * (1 + gap))
+        s = scale_wave(s.g2, s.S, s.p, s.r, newest, fresh, 0.05, tau, dt, dt * (1 + gap))
         assert 0.0 <= s.g2 <= 1.0
         assert abs(s.p) <= abs(newest) * (1.0 + 1e-15)
         assert overdrawn - 1e-15 <= s.S
@@ -151,7 +151,7 @@ def here(v: float, *, fresh: bool = True) -> At:
 
 def test_a_held_wave_is_scaled_by_the_root_of_the_rate() -> None:
     """Nine messages of ten: g^2 comes to 0.9 around, and the wave in the gap is the last one so scaled."""
-    law, s = WaveScaled(tau=0.1), Scaling(1.0, 0.0, 0.0, 0.0)
+    law, s = WaveScaled(tau=0.1), ScaledWave(1.0, 0.0, 0.0, 0.0)
     for k in range(4000):
         f, _, s = law.master(s, here(0.0, fresh=k % 10 != 0), Back(1.0))
     assert s.g2 == pytest.approx(0.9, abs=0.01)

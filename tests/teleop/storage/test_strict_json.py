@@ -16,9 +16,9 @@ from teleop.simulation.summary_shape import RUN
 from teleop.storage.strict_json import (
     Misshapen,
     between,
-    each,
+    dict_of,
     either,
-    named,
+    list_of,
     one_of,
     optional,
     parse,
@@ -65,8 +65,8 @@ def test_a_line_may_hold_numbers_that_its_caller_has_to_look_at() -> None:
     (whole(low=0, high=5), 5, 6, "at most 5"), (whole(low=0), 0, -1, "at least 0"), (whole(), -7, 1.0, "whole number"),
     (whole(), 1, True, "not True"), (between(0.0, 1.0), 1, 1.5, "from 0 to 1"),
     (one_of("m", "s"), "m", ["m"], "m or s, not a list"), (optional(text), None, {}, "a text, not an object"),
-    (either(text, whole()), 3, None, "a whole number, not None"), (each(text), ["a"], ["a", 1], r"it\[1\] must be"),
-    (each(text, most=1), [], ["a", "b"], "more than 1"), (named(whole()), {"a": 1}, {"a": "x"}, r"it\.a must be"),
+    (either(text, whole()), 3, None, "a whole number, not None"), (list_of(text), ["a"], ["a", 1], r"it\[1\] must be"),
+    (list_of(text, most=1), [], ["a", "b"], "more than 1"), (dict_of(whole()), {"a": 1}, {"a": "x"}, r"it\.a must be"),
     (record({"a": text}), {"a": "x", "b": 1}, {"b": 1}, "it has no a"), (record({}), {}, [], "an object"),
     (record({}, {"a": text}), {}, {"a": 2}, r"it\.a must be a text"),
 ])

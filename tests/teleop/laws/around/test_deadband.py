@@ -10,7 +10,7 @@ import pytest
 
 from teleop import check_law, load_scene, run
 from teleop.law import At
-from teleop.laws.around.deadband import Deadband, kept, moved, unpaid, within
+from teleop.laws.around.deadband import DeadbandWrapper, moved, sent_value, unpaid, within
 from teleop.laws.around.names import around
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
@@ -70,8 +70,8 @@ def test_a_deadband_that_holds_waves_as_it_holds_samples_is_caught(monkeypatch: 
     from teleop.laws.around import compose
 
     monkeypatch.setattr(compose, "_MADE", {})
-    monkeypatch.setattr(Deadband, "words", classmethod(lambda _: {
-        "moved": moved, "unpaid": lambda *_: 0.0, "kept": kept, "within": lambda wave, *_: wave}))
+    monkeypatch.setattr(DeadbandWrapper, "words", classmethod(lambda _: {
+        "moved": moved, "unpaid": lambda *_: 0.0, "sent_value": sent_value, "within": lambda wave, *_: wave}))
     with pytest.raises(ValueError, match="more than the waves brought"):
         check_law(around("deadband(0.3, floor=0.05)", Wave()))
 
@@ -100,8 +100,8 @@ def test_numbers_that_are_none_are_sent_and_not_kept() -> None:
     nan = float("nan")
     assert moved(0.1, 1e-3, nan, 0.0) == 1.0
     assert moved(0.1, 1e-3, 1.0, nan) == 1.0
-    assert str(kept(1.0, -0.0, 5.0)) == "-0.0"
-    assert kept(0.0, 3.0, 5.0) == 5.0
+    assert str(sent_value(1.0, -0.0, 5.0)) == "-0.0"
+    assert sent_value(0.0, 3.0, 5.0) == 5.0
     assert unpaid(1.0, 2.0, 0.0, 1e-3) == 1.0
     assert unpaid(1.0, 2.0, 1.5e-3, 1e-3) == 0.0
     assert within(2.0, 2.0, -1e-3, 1e-3) == pytest.approx(2.0**0.5)

@@ -13,7 +13,7 @@ from teleop import check_law, load_scene, run
 from teleop.errors import Refused
 from teleop.law import At
 from teleop.laws.around import compose
-from teleop.laws.around.guard import Guard, asked, let_through
+from teleop.laws.around.guard import GuardWrapper, let_through, master_damper
 from teleop.laws.around.names import around
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
@@ -49,7 +49,7 @@ def test_what_is_let_through_of_a_force_that_is_not_paid_for() -> None:
 
 
 def test_the_hand_is_asked_for_as_much_as_the_slave_has_not() -> None:
-    assert [asked(4.0, level, 0.05) for level in (-1.0, 0.0, 0.025, 0.05, 1.0)] == [4.0, 4.0, 2.0, 0.0, 0.0]
+    assert [master_damper(4.0, level, 0.05) for level in (-1.0, 0.0, 0.025, 0.05, 1.0)] == [4.0, 4.0, 2.0, 0.0, 0.0]
 
 
 def test_an_end_pays_its_own_account_back_before_it_gives_the_other_end_any() -> None:
@@ -118,7 +118,7 @@ MUTANTS = {
 @pytest.mark.parametrize("wrong", MUTANTS)
 def test_a_guard_that_is_wrong_is_caught_by_the_check_of_every_law(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
     old, new = MUTANTS[wrong]
-    right = Guard.lines
+    right = GuardWrapper.lines
 
     def lines(end: Any) -> Any:
         made = right(end)
@@ -126,7 +126,7 @@ def test_a_guard_that_is_wrong_is_caught_by_the_check_of_every_law(wrong: str, m
                              sums={name: share.replace(old, new) for name, share in made.sums.items()})
 
     monkeypatch.setattr(compose, "_MADE", {})
-    monkeypatch.setattr(Guard, "lines", staticmethod(lines))
+    monkeypatch.setattr(GuardWrapper, "lines", staticmethod(lines))
     with pytest.raises(Refused, match="E_law"):
         check_law(around("guard", Direct()))
 
