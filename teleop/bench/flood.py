@@ -20,7 +20,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from teleop.bench.compiled import compiled, reason
+from teleop.bench.timing import compiled, reason
 from teleop.scene.library import ROOT
 
 Row = tuple[str, str, str]

@@ -1,26 +1,99 @@
-"""What a law costs: a live tick of either end in one axis, three and six joints, and kernels beside those of `wave`.
+"""The cost of laws and of playing waves by their integral: live ticks, runs and kernels.
 
-The live tick is the end's generator by itself, `hard_wall` with its watchdog and force cap, a fresh message at every
-tick: what of a live end is the law's, without socket and record. Only the processor's time is counted, of each law in
-turns, and the least of all rounds.
+`laws`: a live tick of either end in one axis, three and six joints, and kernels beside those of `wave`. The live tick
+is the end's generator by itself, `hard_wall` with its watchdog and force cap, a fresh message at every tick: the part
+of a live end that is the law's, without socket and record.
+
+`playout`: runs and kernels of each playout beside those of `zero`. The canonical scene runs over 50 ms each way, where
+every playout plays the same waves, and over jitter and loss.
+
+Only the processor's time is counted, of each law or playout in turns, and the least of all rounds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
-from teleop.bench.kernels import kernel_of
-from teleop.bench.playout import seconds
 from teleop.law import find_law, known_laws, messages
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
+from teleop.simulation.bodies import exact_bodies, reference_samples
+from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import NAMES
+from teleop.simulation.virtual import run
+from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, leaves, tree_of
+
+MEASURES = ("x_err_rms", "x_err_max")
+
+
+def kernel_of(engine: str, scenes: Sequence[Scene], seeds: Sequence[int]) -> Callable[[], Any]:
+    """A call that runs these rows by the kernel of the first scene's structure; scenes of one link share a schedule."""
+    import numpy as np
+
+    schedules: dict[Any, LinkSchedule] = {}
+    paths: dict[Any, Any] = {}
+    rows = []
+    for scene, seed in zip(scenes, seeds, strict=True):
+        schedule = schedules.setdefault((scene.link, seed), LinkSchedule.of(link_plans(scene, seed)))
+        reference = scene.hand and scene.hand.reference
+        path = paths.setdefault(reference, tuple([np.asarray(axis) for axis in reference_samples(scene) or ()]))
+        rows.append(Inputs(None, leaves(tree_of(scene, exact_bodies(scene))), scene.ticks, schedule, path))
+    make = getattr(import_module("teleop.sweeps.kernels.engines"), f"{engine}_kernel")
+    kernel = make(scenes[0], exact_bodies(scenes[0]), MEASURES)
+    lags = [row.schedule.lags for row in rows]
+    return lambda: kernel.run(rows, lags)
+
 
 Row = tuple[str, str, str]
+LINKS = {"50 ms": "delay(0.05)", "jitter and loss": "delay(0.05) | uniform(0.02) | bernoulli(0.1)"}
+PLAYOUTS = ("zero", "integral", "integral:0.005", "energy", "scaled:0.1")
+ASKED = {"integral": "asked: at most 1.5", "integral:0.005": "asked: at most 1.5"}
+ROWS = {"plain": 1, "scalar": 1, "vector": 8}  # at once
+
+
+def playout(rounds: int) -> list[Row]:
+    """Rows of (what, measured, asked)."""
+    from teleop.sweeps.kernels.compiled import need_numba
+
+    need_numba("scalar")
+    rows: list[Row] = []
+    for engine, count in ROWS.items():
+        for what, link in LINKS.items():
+            calls = {name: ready(engine, name, link, count) for name in PLAYOUTS}
+            least = dict.fromkeys(PLAYOUTS, float("inf"))
+            for call in calls.values():
+                call()
+            for _ in range(4 * rounds):
+                for name, call in calls.items():
+                    least[name] = min(least[name], seconds(call))
+            ticks = count * load_scene("canonical").ticks
+            rows += [(f"{engine}, {what}: zero", f"{least['zero'] / ticks * 1e9:.1f} ns a tick", ""),
+                     *((f"  {name}", f"{least[name] / least['zero']:.2f} times", ASKED.get(name, ""))
+                       for name in PLAYOUTS[1:])]
+    return rows
+
+
+def ready(engine: str, name: str, link: str, count: int) -> Callable[[], Any]:
+    """A call that runs `count` rows of a playout."""
+    scenes = [load_scene("canonical", playout=name, link=link, k_e=5000.0 + 10.0 * n) for n in range(count)]
+    if engine == "plain":
+        return lambda: run(scenes[0])
+    return kernel_of(engine, scenes, [1] * count)
+
+
+def seconds(call: Callable[[], Any]) -> float:
+    """Of the processor."""
+    began = time.process_time()
+    call()
+    return time.process_time() - began
+
+
 TICKS = 2000
 LEAST = {1: "asked: at most 10", 3: "asked: at most 25"}
 JOINTS = ("pp", "four_channel", "wave", "tdpa")  # laws of the scene leader_follower
@@ -97,4 +170,3 @@ def ticks(scene: Scene, e: str) -> Callable[[], None]:
             send(each)
 
     return call
-

@@ -18,7 +18,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from teleop.bench.compiled import compiled, reason
+from teleop.bench.timing import compiled, reason
 from teleop.live.process.realtime import PRIORITY
 from teleop.scene.library import ROOT
 

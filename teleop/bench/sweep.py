@@ -1,8 +1,16 @@
-"""What a row of a sweep costs a tick: the compiled kernels of the canonical scene beside a C program of the same scene.
+"""The cost of a sweep: kernels beside C, whole rows from a thousand to a million, rows of a user's own law.
 
-The C program steps the bodies by semi-implicit Euler, one step a tick, and works out the same tracking error; it is
-compiled here with -O3 and called in this process, in turn with ours, on the same packets. It plays zero in gaps;
-over jitter and loss ours are timed so too, which is the comparison, and by the integral, the scene's own playout.
+`sweep`: the compiled kernels of the canonical scene beside a C program of the same scene. The C program steps the
+bodies by semi-implicit Euler, one step a tick, and works out the same tracking error. It is compiled here with -O3 and
+called in this process, in turn with ours, on the same packets. It plays zero in gaps; over jitter and loss ours are
+timed so too, which is the comparison, and by the integral, the scene's own playout.
+
+`scale`: whole sweeps, with all that a row costs beside its kernel: scene, coefficients, schedule, its line in the
+table. That part is a row's time in a sweep less the kernel's, both measured in turn in this process.
+
+`own_laws`: the law of a plug-in and of a user's file over a built-in one. All three are the lines of
+`teleop.laws.wave`: the built-in law itself, a copy in a package with an entry point, and a copy in a file. The rows are
+so short that most of their time goes into preparing each of them, the look-up of the law included.
 """
 
 from __future__ import annotations
@@ -10,16 +18,22 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import invalidate_caches
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from teleop.bench.kernels import kernel_of
+from teleop.bench.laws import kernel_of
+from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
+from teleop.sweeps.grid import grid
+from teleop.sweeps.runner import sweep as run_sweep
 
 Row = tuple[str, str, str]
 ROUGH = "delay(0.05) | uniform(0.02) | bernoulli(0.02)"
@@ -183,3 +197,127 @@ def _program(folder: Path) -> Any:
     flags = ["-O3", "-march=native", "-shared", "-fPIC"]
     subprocess.run([compiler, *flags, "-o", folder / "row.so", folder / "row.c", "-lm"], check=True)
     return ctypes.CDLL(str(folder / "row.so"))
+
+
+MEASURES = ("x_err_rms", "x_err_max")
+FEW, MANY = 1_000, 100_000
+SHARED = 30_000  # rows for one thread and for two
+MILLION = """
+import resource
+from teleop.bench.sweep import million
+rows = million()
+print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def scale(rounds: int) -> list[Row]:
+    """Rows of (what, measured, asked)."""
+    from teleop.sweeps.kernels.compiled import need_numba
+
+    need_numba("vector")
+    ticks = load_scene("canonical").ticks
+    rows: list[Row] = []
+    for engine in ("scalar", "vector"):
+        _sweep_seconds(engine, 16, 1)  # compiles
+        kernel = kernel_of(engine, [load_scene("canonical", k_e=k_e) for k_e in _stiffnesses(FEW)], [0] * FEW)
+        few, many, ratios, gains, alone = [], [], [], [], []
+        for _ in range(rounds):
+            few.append(_sweep_seconds(engine, FEW, 1) / FEW)
+            alone.append(_wall_seconds(kernel) / FEW)
+            gains.append(_sweep_seconds(engine, SHARED, 1) / _sweep_seconds(engine, SHARED, 2))
+        for _ in range(max(1, rounds // 3)):
+            many.append(_sweep_seconds(engine, MANY, 1) / MANY)
+            ratios.append(many[-1] / median(few))
+        rows += [
+            *[(f"{engine}, canonical, a row of {count:,}", f"{median(each) * 1e6:.0f} us",
+               f"{median(each) / ticks * 1e9:.1f} ns a tick") for count, each in ((FEW, few), (MANY, many))],
+            ("  beside its kernel", f"{median(a - b for a, b in zip(few, alone, strict=True)) * 1e6:.0f} us",
+             f"kernel {median(alone) * 1e6:.0f} us; asked: at most 60"),
+            ("  over that of few", f"{median(ratios):.2f} times", "asked: at most 1.15"),
+            (f"{engine}, two threads over one", f"{median(gains):.2f} times", "asked: at least 1.8"),
+        ]
+    done = subprocess.run([sys.executable, "-c", MILLION], cwd=ROOT, capture_output=True, text=True, check=True)
+    count, memory = map(int, done.stdout.split())
+    rows.append((f"{count:,} rows of 20 ticks", f"{memory / 1e6:.2f} GB", "asked: at most 1"))
+    return rows
+
+
+def _sweep_seconds(engine: str, rows: int, threads: int) -> float:
+    """Seconds for a sweep of the canonical scene over the wall's stiffness."""
+    points = grid({"k_e": _stiffnesses(rows)})
+    return _wall_seconds(lambda: run_sweep("canonical", points, metrics=MEASURES, engine=engine, workers=threads))
+
+
+def _stiffnesses(count: int) -> list[float]:
+    """So many values of the wall's stiffness, N/m."""
+    return [2500.0 + 5000.0 * n / count for n in range(count)]
+
+
+def _wall_seconds(call: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    call()
+    return time.perf_counter() - began
+
+
+def million() -> int:
+    """A sweep of a million short rows over two knobs and seeds."""
+    points = grid({"k_e": [1000.0 + n for n in range(1000)], "d_e": [0.1 * n for n in range(100)]}, 10)
+    return len(run_sweep("canonical", points, metrics=MEASURES, engine="vector", fixed={"duration": 0.02}))
+
+
+SHORT_ROWS = {"plain": 300, "vector": 3000}
+SHORT_TICKS = 50
+OWN_LAW_BOUND = "asked: at most 1.1"
+
+
+def own_laws(rounds: int) -> list[Row]:
+    """Rows of (what, measured, asked)."""
+    rows: list[Row] = []
+    with TemporaryDirectory() as folder, _copies(Path(folder)) as (plug_in, file):
+        names = {"built in": "wave", "of a plug-in": plug_in, "of a file": file}
+        for engine, count in SHORT_ROWS.items():
+            if engine != "plain":
+                from teleop.sweeps.kernels.compiled import need_numba
+
+                need_numba(engine)
+            for law in names.values():
+                _short_rows_seconds(engine, law, 8)  # compiles
+            spent: dict[str, list[float]] = {name: [] for name in names}
+            for _ in range(rounds):
+                for name, law in names.items():  # in turn
+                    spent[name].append(_short_rows_seconds(engine, law, count) / count)
+            rows += _over_built_in(engine, spent)
+    return rows
+
+
+def _over_built_in(engine: str, spent: dict[str, list[float]]) -> list[Row]:
+    best = {name: min(each) for name, each in spent.items()}  # what else the machine does only adds to them
+    own = best.pop("built in")
+    rows: list[Row] = [(f"{engine}, a row of {SHORT_TICKS} ticks, law built in", f"{own * 1e6:.0f} us", "")]
+    return rows + [(f"  law {name}, over it", f"{each / own:.2f} times", OWN_LAW_BOUND) for name, each in best.items()]
+
+
+def _short_rows_seconds(engine: str, law: str, rows: int) -> float:
+    """Processor time (s) of a sweep of soft tissue over its stiffness."""
+    began = time.process_time()
+    run_sweep("soft_tissue", {"law": [law], "k_e": [100.0 + n for n in range(rows)]}, engine=engine, workers=1,
+          fixed={"duration": 1e-3 * SHORT_TICKS})
+    return time.process_time() - began
+
+
+@contextmanager
+def _copies(folder: Path) -> Iterator[tuple[str, str]]:
+    """The law's lines in a package that is found by its entry point, and in a file: what each is named in a sweep."""
+    source = (ROOT / "teleop" / "laws" / "wave.py").read_text(encoding="utf-8")
+    (folder / "bench_waves.py").write_text(source, encoding="utf-8")
+    (folder / "waves_of_a_file.py").write_text(source, encoding="utf-8")
+    told = folder / "bench_waves-1.0.dist-info"
+    told.mkdir()
+    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-waves\nVersion: 1.0\n", encoding="utf-8")
+    (told / "entry_points.txt").write_text("[teleop.laws]\nbench_waves = bench_waves:Wave\n", encoding="utf-8")
+    sys.path.append(str(folder))
+    invalidate_caches()
+    try:
+        yield "bench_waves", f"{folder / 'waves_of_a_file.py'}:Wave"
+    finally:
+        sys.path.remove(str(folder))

@@ -3,14 +3,20 @@
 Each of our parts and the same in C (`c/timing.c`) are measured at once or in turns; a figure is the median over
 the rounds, of ratios within a round. The relay is the process `python -m channel`; both relays are loaded by the same
 C program, which takes the kernel's stamps.
+
+`python -m teleop.bench.timing tick N SPIN_NS | echo | ping PORT N` runs one live part alone, as the live loops use it.
+The same words make `c/timing.c` do the same in C; both print median and 99 %, us.
 """
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
+import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,10 +24,33 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from teleop.bench.compiled import compiled, reason
+from teleop.live.net.wire import DRAIN, Wire, bind_udp
 from teleop.live.process.realtime import SPIN_NS
+from teleop.live.process.ticker import Alarm
 from teleop.protocol.manifest import manifest_of
 from teleop.scene.library import ROOT
+
+SOURCES = Path(__file__).with_name("c")
+
+
+def compiled(name: str, folder: Path) -> str | None:
+    """The program of `c/<name>.c`, made in `folder`; None where it cannot be made: `reason` says why."""
+    compiler = _compiler()
+    if compiler is None or not SOURCES.is_dir():
+        return None
+    program = str(folder / name)
+    subprocess.run([compiler, "-O2", "-o", program, str(SOURCES / f"{name}.c")], check=True)
+    return program
+
+
+def reason() -> str:
+    """The reason for which `compiled` makes no program here."""
+    return "no C compiler here" if _compiler() is None else "its C program is in the repository alone"
+
+
+def _compiler() -> str | None:
+    return os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
+
 
 Row = tuple[str, str, str]
 TICKS, TRIPS = 4000, 5000
@@ -29,7 +58,7 @@ DELAY = 0.02  # s
 RATE, COUNT = 1000, 3000  # datagrams a second each way, and in all, for the error of the delay
 FULL_RATE, FULL_COUNT = 20_000, 40_000  # the same for loss
 SCENE = "hard_wall"
-OURS = (sys.executable, "-m", "teleop.bench.parts")
+OURS = (sys.executable, "-m", "teleop.bench.timing")
 
 
 class Late(NamedTuple):
@@ -65,9 +94,9 @@ def ticks(c: str, rounds: int, count: int = TICKS) -> list[Row]:
         own, other = [_late(process.communicate()[0]) for process in running]
         ours.append(own)
         theirs.append(other)
-        spun.append(_late(_told(*OURS, "tick", count, SPIN_NS)))
+        spun.append(_late(_output(*OURS, "tick", count, SPIN_NS)))
     return [
-        _plain("C loop on a timerfd: tick late by", theirs),
+        _summary("C loop on a timerfd: tick late by", theirs),
         *_beside("Alarm in asyncio: tick late by", ours, theirs),
         (f"Alarm, awake {SPIN_NS // 1000} us before (--spin): late by, median",
          f"{median(one.median for one in spun):.1f} us", "asked: at most 5"),
@@ -88,10 +117,10 @@ def round_trips(c: str, rounds: int, count: int = TRIPS) -> list[Row]:
     one_core = zip(*together, strict=True)
     most = "asked: at most 2.2"
     return [
-        _plain("round trip over loopback, C", in_c),
+        _summary("round trip over loopback, C", in_c),
         _beside("round trip, a Wire in asyncio at both ends", both, in_c, most)[0],
         _beside("round trip, C and an echo through a Wire", alone, in_c, most)[0],
-        _plain("round trip, C, both ends on one core", next(one_core)),
+        _summary("round trip, C, both ends on one core", next(one_core)),
         _beside("round trip, Wires, both ends on one core", next(one_core), [trip[0] for trip in together], most)[0],
     ]
 
@@ -112,7 +141,7 @@ def relays(c: str, folder: Path, rounds: int) -> list[Row]:
     own, other = zip(*pairs, strict=True)
     lost = [f"{median(one.lost for one in side):.0f}" for side in zip(*full, strict=True)]
     return [
-        _plain(f"C relay, {RATE} packets a second each way: error of the delay", [one.error for one in other]),
+        _summary(f"C relay, {RATE} packets a second each way: error of the delay", [one.error for one in other]),
         *_beside("python -m channel: error of the delay", [one.error for one in own], [one.error for one in other]),
         (f"  lost at {FULL_RATE} a second each way, of {2 * FULL_COUNT}", lost[0], f"{lost[1]} by C; asked: at most 0"),
     ]
@@ -181,7 +210,7 @@ def _started(*command: Any, core: int | None = None, **streams: Any) -> subproce
     return process
 
 
-def _told(*command: Any) -> str:
+def _output(*command: Any) -> str:
     return subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True, cwd=ROOT).stdout
 
 
@@ -189,7 +218,7 @@ def _late(told: str) -> Late:
     return Late(*map(float, told.split()[:2]))
 
 
-def _plain(what: str, times: Sequence[Late]) -> Row:
+def _summary(what: str, times: Sequence[Late]) -> Row:
     return (f"{what}, median / 99 %",
             f"{median(one.median for one in times):.0f} / {median(one.most for one in times):.0f} us", "")
 
@@ -201,3 +230,99 @@ def _beside(what: str, ours: Sequence[Late], theirs: Sequence[Late], most: str =
         ratio = median(own[place] / other[place] for own, other in zip(ours, theirs, strict=True))
         rows.append((name, f"{median(own[place] for own in ours):.0f} us", f"{ratio:.2f} times C; {most}".rstrip("; ")))
     return rows
+
+
+TICK_NS = 1_000_000
+PAYLOAD = bytes(100)
+
+
+async def tick(count: int, spin_ns: int) -> list[int]:
+    """The lateness of an alarm at each of `count` ticks at 1 kHz, ns; for one that was missed, when it came next."""
+    late: list[int] = []
+    over = asyncio.Event()
+    start = time.monotonic_ns() + 20 * TICK_NS
+
+    def wake() -> None:
+        woken = time.monotonic_ns() - start
+        late.extend(woken - k * TICK_NS for k in range(len(late), woken // TICK_NS + 1))
+        if len(late) >= count:
+            over.set()
+
+    alarm = Alarm(asyncio.get_running_loop(), wake, spin_ns)
+    alarm.set(start, TICK_NS)
+    await over.wait()
+    alarm.close()
+    return late[:count]
+
+
+async def echo(wire: Wire, over: asyncio.Event) -> None:
+    """Send back what comes to where it came from, until it is over."""
+
+    def drain() -> None:
+        for _ in range(DRAIN):
+            got = wire.receive()
+            if got is None or got[0] is None:
+                break
+            wire.peer = got[1]
+            wire.send(got[0])
+
+    loop = asyncio.get_running_loop()
+    loop.add_reader(wire.sock, drain)
+    await over.wait()
+    loop.remove_reader(wire.sock)
+
+
+async def ping(wire: Wire, count: int) -> list[int]:
+    """The time that `count` datagrams take to the wire's peer and back, ns, one after the other."""
+    trips: list[int] = []
+    over = asyncio.Event()
+    began = 0
+
+    def send() -> None:
+        nonlocal began
+        began = time.monotonic_ns()
+        wire.send(PAYLOAD)
+
+    def drain() -> None:
+        for _ in range(DRAIN):
+            if wire.receive() is None:
+                break
+            trips.append(time.monotonic_ns() - began)
+            if len(trips) < count:
+                send()
+            else:
+                over.set()
+
+    loop = asyncio.get_running_loop()
+    loop.add_reader(wire.sock, drain)
+    send()
+    await over.wait()
+    loop.remove_reader(wire.sock)
+    return trips[:count]
+
+
+async def _main(what: str, *numbers: int) -> None:
+    if what == "tick":
+        times = await tick(*numbers)
+    else:
+        with bind_udp(("127.0.0.1", 0), "--listen") as sock:
+            if what == "echo":
+                print(sock.getsockname()[1], flush=True)
+                await echo(Wire(sock, None), asyncio.Event())
+                return
+            port, count = numbers
+            wire = Wire(sock, ("127.0.0.1", port))
+            wire.keep_to_peer()
+            times = await ping(wire, count)
+    times.sort()
+    print(f"{times[len(times) // 2] / 1e3:.2f} {times[int(len(times) * 0.99)] / 1e3:.2f}")
+
+
+def main(words: Sequence[str]) -> int:
+    """Run one part; returns the exit code."""
+    asyncio.run(_main(words[0], *map(int, words[1:])))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

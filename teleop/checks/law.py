@@ -28,8 +28,7 @@ from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import ENGINES, kernel_of
-from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, figures, tree_of
-from teleop.sweeps.shared import path_of
+from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, figures, path_of, tree_of
 
 ENDS = ("master", "slave")
 TWO_PORT = ("master_start", "master", "slave_start", "slave")

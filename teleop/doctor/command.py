@@ -91,7 +91,7 @@ def command(args: Namespace) -> Answer:
 
 def findings() -> dict[str, Any]:
     """Versions, extras, the kernels on disk, and what was measured and judged, as JSON can hold them."""
-    from teleop.sweeps.kernels.cache_folder import open_to_others
+    from teleop.sweeps.kernels.compiled import open_to_others
     from teleop.version import __version__
 
     folder = kernels()

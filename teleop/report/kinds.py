@@ -28,7 +28,7 @@ def read(folder: Path, args: Namespace, formats: Sequence[str]) -> Told:
     from teleop.report.of_study import is_study, study_told
 
     if (folder / "sweep.json").is_file():
-        from teleop.sweeps.definition import read_definition
+        from teleop.sweeps.store import read_definition
 
         scene = read_definition(folder).get("scene")
         if scene == "compare":

@@ -13,7 +13,7 @@ from teleop.report.markup import Markup, joined
 from teleop.report.scales import Axis, along
 from teleop.report.style import LEVELS, OTHER, STATUS
 from teleop.sweeps.pictures.layout import PlottedKnob, spacing, spread, text_of
-from teleop.sweeps.pictures.maps import MapPoints, map_points
+from teleop.sweeps.pictures.picture import MapPoints, map_points
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -34,8 +34,7 @@ from teleop.studies.compare.figures import (
     rankings,
     text,
 )
-from teleop.sweeps.definition import is_growing
-from teleop.sweeps.store import Store
+from teleop.sweeps.store import Store, is_growing
 from teleop.terminal.answer import Answer
 
 ENDED = ("ok", *BAD, "diverged", "refused")

@@ -13,7 +13,6 @@ from teleop.report.maps import maps
 from teleop.report.markup import Markup, element, facts, table
 from teleop.report.page import Section, cell, heading, made_by, parameters
 from teleop.report.told import Told
-from teleop.sweeps.definition import is_growing
 from teleop.sweeps.pictures.layout import (
     axes_knobs_of,
     pairs_of,
@@ -31,6 +30,7 @@ from teleop.sweeps.pictures.report import (
     told_of,
     words_of,
 )
+from teleop.sweeps.store import is_growing
 from teleop.terminal.answer import Answer
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """Masks: what generated text says in place of a branch where eight scenes run side by side.
 
-A mask is a truth for each scene. Here is what each word means of one scene; `teleop.sweeps.kernels.lanewise` and
+A mask is a truth for each scene. Here is what each word means of one scene; `teleop.sweeps.kernels.lanes` and
 `...rings` have it of eight.
 """
 

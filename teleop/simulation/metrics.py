@@ -312,7 +312,7 @@ def magnitude(column: NDArray[Any]) -> NDArray[Any]:
         size: NDArray[Any] = np.abs(column)
         if column.ndim == 1:
             return size
-        # As `teleop.sweeps.kernels.measures.magnitude3` has it, in the same order: a sweep gives the same bits.
+        # As `teleop.sweeps.kernels.figures.magnitude3` has it, in the same order: a sweep gives the same bits.
         top = np.maximum(size.max(axis=1), TINY)
         parts = (column / top[:, None]).T
         total = parts[0] * parts[0]

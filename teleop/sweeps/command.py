@@ -123,7 +123,7 @@ def carry_out(
     request: PictureRequest | None = None,
     latin: int | None = None, random: int | None = None, cluster: str | None = None, workers: int | None = None,
 ) -> Swept:
-    """Run the sweep of scene `name` over `axes` (texts, see `teleop.sweeps.typed`). Raises `Refused`.
+    """Run the sweep of scene `name` over `axes` (texts, see `teleop.sweeps.grid`). Raises `Refused`.
 
     `request`: the picture that will be drawn of it, refused here if no row could make it possible.
     `latin` or `random`: so many points drawn from ranges in place of a grid. `clock` (s) times it. `cluster`: the
@@ -208,8 +208,7 @@ def _workers(cluster: str | None, tell: Callable[[str], None]) -> Iterator[Clust
 
 
 def _points(axes: Sequence[str], seeds: int, latin: int | None, random: int | None) -> Grid:
-    from teleop.sweeps.grid import grid, sampled
-    from teleop.sweeps.typed import parse_axes, parse_ranges
+    from teleop.sweeps.grid import grid, parse_axes, parse_ranges, sampled
 
     if latin is not None and random is not None:
         raise Refused("--latin and --random are two ways to draw points; leave one of them out")

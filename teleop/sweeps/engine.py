@@ -23,12 +23,22 @@ from teleop.simulation.bodies import Bodies
 from teleop.simulation.felt import MOST_RANKS, ranks
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import Prepared, prepare
-from teleop.sweeps.kernels.digest import constants
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, LinkSchedule, NotCompiled, figures, names_of, plain, tree_of
-from teleop.sweeps.kernels.leaves import Leaves, leaves
-from teleop.sweeps.kernels.measures import KEPT as KEPT_ALONG
-from teleop.sweeps.kernels.measures import layout
-from teleop.sweeps.shared import path_of
+from teleop.sweeps.kernels.figures import KEPT as KEPT_ALONG
+from teleop.sweeps.kernels.figures import layout
+from teleop.sweeps.kernels.functions import constants
+from teleop.sweeps.kernels.kernel import (
+    Inputs,
+    Kernel,
+    Leaves,
+    LinkSchedule,
+    NotCompiled,
+    figures,
+    leaves,
+    names_of,
+    path_of,
+    plain_kernel,
+    tree_of,
+)
 
 if TYPE_CHECKING:
     from teleop.simulation.result import Result
@@ -139,10 +149,10 @@ class Stamps:
 
 def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
     if engine == "plain":
-        return plain(scene, bodies, measures)._replace(why=why)
+        return plain_kernel(scene, bodies, measures)._replace(why=why)
     from teleop.sweeps.kernels.compiled import cause
 
-    make = getattr(import_module(f"teleop.sweeps.kernels.{engine}"), engine)
+    make = getattr(import_module("teleop.sweeps.kernels.engines"), f"{engine}_kernel")
     two = prepare(replace(scene, duration=min(scene.ticks, 2) * scene.dt))  # ticks, enough to have it compiled
     given = Inputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
                    LinkSchedule.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))

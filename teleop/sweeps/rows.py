@@ -25,10 +25,19 @@ from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.rest import Still, least_swing, still
 from teleop.simulation.structure import structure_of
 from teleop.sweeps.engine import Measure, Stamps, kernel_of, needs_record
-from teleop.sweeps.kernels.kernel import Kernel, NotCompiled, available, tree_of
-from teleop.sweeps.kernels.leaves import FLOATS, Leaves, leaves
-from teleop.sweeps.kernels.measures import SWINGS
-from teleop.sweeps.shared import Schedules, path_of, schedules_key
+from teleop.sweeps.kernels.figures import SWINGS
+from teleop.sweeps.kernels.kernel import (
+    FLOATS,
+    Kernel,
+    Leaves,
+    NotCompiled,
+    Schedules,
+    available,
+    leaves,
+    path_of,
+    schedules_key,
+    tree_of,
+)
 
 ATOMS = frozenset((float, int, bool, str, bytes, type(None)))
 LIGHT = frozenset(("law", "hand", "environment", "link"))  # parts that a structure stays the same without

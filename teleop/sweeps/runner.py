@@ -23,12 +23,11 @@ from teleop.scene.scene import Scene
 from teleop.scene.wide import read_link
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import ChunkResult, Job, work
-from teleop.sweeps.definition import METRIC_SOURCES
 from teleop.sweeps.engine import Measure, choose
 from teleop.sweeps.grid import Grid, counted, grid, listed, plain
-from teleop.sweeps.kernels.digest import digest, file_digest, sources
+from teleop.sweeps.kernels.functions import digest, file_digest, sources
 from teleop.sweeps.kernels.kernel import available
-from teleop.sweeps.store import Store
+from teleop.sweeps.store import METRIC_SOURCES, Store
 from teleop.sweeps.table import Table, TableBuilder
 
 CHUNK = 0.5  # s of work that a chunk aims at

@@ -17,8 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import load_result
-from teleop.bench.motor import HANG, Motor
-from teleop.bench.watchdog import BLOWS, FORCE, SCENE, trial
+from teleop.bench.watchdog import BLOWS, FORCE, HANG, SCENE, Motor, trial
 from teleop.errors import DeviceError, Refused
 from teleop.live.devices.device_watchdog import (
     ACKED,
@@ -310,7 +309,7 @@ class Site:
                               str(folder / "master"))
 
     def start(self, out: str = "slave", port: int = 0) -> Command:
-        return self.command("teleop.bench.motor", str(self.folder / "motor"), *SCENE, *self.knobs, "--listen",
+        return self.command("teleop.bench.watchdog", str(self.folder / "motor"), *SCENE, *self.knobs, "--listen",
                             f"127.0.0.1:{port}", "--json", "--out", str(self.folder / out))
 
     def pushes(self) -> bool:
@@ -450,7 +449,7 @@ def test_an_end_that_is_started_again_is_never_zeroed_by_the_watchdog_of_the_one
 def test_two_ends_do_not_drive_one_device(site: Callable[..., Site]) -> None:
     one = site()
     until(one.pushes, "no force came about")
-    one.start("second").refused("another end drives this device already", "teleop.bench.motor:zeroing",
+    one.start("second").refused("another end drives this device already", "teleop.bench.watchdog:zeroing",
                                 f"for example by kill {one.slave.process.pid}")
     assert not (one.folder / "second").exists()
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from teleop.bench.motor import Motor
-from teleop.bench.watchdog import FORCE, SCENE
+from teleop.bench.watchdog import FORCE, SCENE, Motor
 from teleop.live.records.merge import load_result
 from teleop.live.records.record import read_events
 from tests.live.conftest import Command, summary
@@ -25,7 +24,7 @@ import time
 from pathlib import Path
 
 from teleop import DeviceError, Reading
-from teleop.bench.motor import Motor
+from teleop.bench.watchdog import Motor
 
 
 class Arm:

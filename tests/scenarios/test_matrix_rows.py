@@ -13,8 +13,7 @@ from slave.tissue import Tissue
 from teleop import Scene, load_scene
 from teleop.analysis.stability.assess import is_stable, stability
 from teleop.law import BUILT_IN
-from teleop.sweeps.matrix import RowOutcome, run_block
-from teleop.sweeps.matrix_file import MatrixBlock, Row, read_matrix
+from teleop.sweeps.matrix import MatrixBlock, Row, RowOutcome, read_matrix, run_block
 
 BLOCKS = {block.name: block for block in read_matrix()}
 ROWS = [(block, row) for block in BLOCKS.values() for row in block.rows()]

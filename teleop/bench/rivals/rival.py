@@ -31,7 +31,7 @@ class Rival(NamedTuple):
 
 def ours() -> tuple[str, int, Callable[[], Any]]:
     """Our best engine by name, the scenario-steps of a call, and the call: rows that differ in the wall's stiffness."""
-    from teleop.bench.kernels import kernel_of
+    from teleop.bench.laws import kernel_of
 
     scenes = [load_scene("canonical", k_e=float(k_e)) for k_e in stiffnesses(ROWS)]
     run = kernel_of("vector", scenes, [0] * ROWS)

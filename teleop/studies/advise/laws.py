@@ -29,7 +29,7 @@ from teleop.studies.tune.objective import Score
 from teleop.studies.tune.search import Scored, Tuned, tune_law
 from teleop.sweeps.engine import PLAIN
 from teleop.sweeps.grid import plain
-from teleop.sweeps.kernels.digest import digest
+from teleop.sweeps.kernels.functions import digest
 from teleop.sweeps.runner import cores, plan_sweep
 from teleop.sweeps.store import Store
 from teleop.terminal.table import si

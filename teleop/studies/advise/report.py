@@ -31,9 +31,9 @@ from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, YIELDS, Score
 from teleop.studies.tune.report import csv_cell, figure, linear_text
 from teleop.studies.tune.report import document as tuned_document
 from teleop.studies.tune.search import Tuned
-from teleop.sweeps.definition import DEFINITION
+from teleop.sweeps.grid import split_list
 from teleop.sweeps.runner import cores
-from teleop.sweeps.typed import listed
+from teleop.sweeps.store import DEFINITION
 from teleop.terminal.answer import Answer, Task, command_of
 from teleop.terminal.options import INTERRUPTED, knobs_from
 from teleop.terminal.plotting import (
@@ -76,7 +76,7 @@ MOST = 1.5  # of a term that is drawn to scale
 def find(args: Namespace) -> Task:
     """Advise a law, in a folder that the same command goes on with. Raises `Refused`."""
     began = args.seconds()
-    laws = two_port_laws() if args.laws is None else listed(args.laws)
+    laws = two_port_laws() if args.laws is None else split_list(args.laws)
     if not laws:
         raise Refused("--laws names none; write for example --laws wave,pfra, or leave it out for all")
     for law in laws:

@@ -41,10 +41,9 @@ from teleop.studies.compare.cases import BUILT_IN, Case, Comparison, cases_of, p
 from teleop.studies.compare.figures import UNSETTLED, document, judge_laws, rankings, text
 from teleop.studies.margin import margin
 from teleop.studies.parallel import in_parallel
-from teleop.sweeps.grid import plain
+from teleop.sweeps.grid import plain, split_list
 from teleop.sweeps.runner import cores
 from teleop.sweeps.store import Store
-from teleop.sweeps.typed import listed
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.plotting import asked_formats
@@ -73,7 +72,7 @@ def command(args: Namespace) -> Answer:
     began = args.seconds()
     path = args.file or BUILT_IN
     where = path_text(path)
-    laws = None if args.laws is None else listed(args.laws)
+    laws = None if args.laws is None else split_list(args.laws)
     comparison = read_comparison(path, laws)
     stream = None if args.json else sys.stderr
     workers = args.workers or cores()

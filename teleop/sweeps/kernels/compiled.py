@@ -4,13 +4,15 @@ A module imports the functions that its text names and compiles them; nothing of
 neither an edit in a function that a cached one calls nor a new version of itself, so the module's name is a hash of the
 text, of the source of every function in it, and of the versions: an edited law makes another module. It is written
 whole, by a rename, so several processes may do so at once. Where the folder cannot be written to, or other users may
-write there (`teleop.sweeps.kernels.cache_folder`), it lives in memory.
+write there (`teleop.sweeps.kernels.compiled`), it lives in memory.
 """
 
 from __future__ import annotations
 
 import os
+import stat
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from importlib import import_module
@@ -18,7 +20,7 @@ from importlib.util import cache_from_source, module_from_spec, spec_from_file_l
 from inspect import signature
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import Any, Protocol, cast
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
@@ -29,18 +31,84 @@ from teleop.simulation.structure import record
 from teleop.simulation.tick import loop
 from teleop.stages import memory
 from teleop.storage.files import replacing
-from teleop.sweeps.kernels.bytecode import unlike_python
-from teleop.sweeps.kernels.cache_folder import made_private, open_to_others, tell_once
-from teleop.sweeps.kernels.digest import constants, digest, named_in, sources
-from teleop.sweeps.kernels.kernel import NotCompiled, functions_of_kernel, gives, kernel_lines, tree_of
-from teleop.sweeps.kernels.leaves import expression, leaves
+from teleop.sweeps.kernels.functions import constants, digest, named_in, sources, unlike_python
+from teleop.sweeps.kernels.kernel import (
+    NotCompiled,
+    expression,
+    functions_of_kernel,
+    gives,
+    kernel_lines,
+    leaves,
+    tree_of,
+)
+
+_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+_ENTER = stat.S_IXGRP | stat.S_IXOTH
+_told: set[str] = set()
+
+
+class KernelsNotKept(UserWarning):
+    """Compiled kernels are neither kept nor taken from the cache folder."""
+
+
+def made_private(folder: Path) -> None:
+    """Make a folder that is its owner's alone, and those above it that are missing. Raises `OSError`."""
+    for missing in reversed([each for each in (folder, *folder.parents) if not each.exists()]):
+        missing.mkdir(mode=0o700, exist_ok=True)
+
+
+def open_to_others(folder: Path, stem: str = "") -> str | None:
+    """Why what lies in `folder` may be of another user; None if it cannot be.
+
+    No other user but root may own the folder, a folder above it, or a file in it whose name begins with `stem`, nor
+    write to one, unless it lies below a folder that they may not enter. One above it that is like /tmp, where all may
+    make but only owners remove, is no way in.
+    """
+    if not hasattr(os, "geteuid"):  # no system whose files have an owner and bits for others
+        return None
+    try:
+        hidden = False
+        for end in dict.fromkeys((folder.absolute(), folder.resolve())):
+            hidden = False  # below a folder that no other user may enter
+            for each in (*reversed(end.parents), end):
+                found = each.stat()
+                if why := _wrong(each, found, hidden or (each != end and bool(found.st_mode & stat.S_ISVTX))):
+                    return why
+                hidden = hidden or not found.st_mode & _ENTER
+        for part in folder.glob(f"{stem}*") if stem else ():
+            if why := _wrong(part, part.lstat(), hidden):
+                return why
+    except OSError as error:
+        return f"{error.filename or folder} cannot be looked at ({error.strerror})"
+    return None
+
+
+def tell_once(why: str) -> None:
+    """Warn, once in a process, that kernels are not kept."""
+    if why not in _told:
+        _told.add(why)
+        warnings.warn(f"compiled kernels are not kept, and each process compiles its own: {why}", KernelsNotKept,
+                      stacklevel=2)
+
+
+def _wrong(path: Path, found: os.stat_result, shared: bool) -> str | None:
+    """What lets another user write at `path`; `shared`: that its bits do is no harm."""
+    if found.st_uid not in (0, os.geteuid()):
+        return f"{path} belongs to another user (number {found.st_uid}); set XDG_CACHE_HOME to a folder of your own"
+    if stat.S_ISLNK(found.st_mode):
+        return f"{path} is a link; remove it"
+    if found.st_mode & _OTHERS and not shared:
+        return (f"others may write to {path} (mode {stat.S_IMODE(found.st_mode):o}); remove what it holds and type: "
+                f"chmod go-w '{path}'")
+    return None
+
 
 TEXT = '''"""Generated: the {engine} kernel of one structure of scene. Delete it whenever you like."""
 from math import inf, nan
 from numba import njit
 from teleop.simulation.structure import record
 from teleop.sweeps.kernels.compiled import compiled_part, jit_at
-from teleop.sweeps.kernels.{engine} import *
+from teleop.sweeps.kernels.engines import *
 
 {parts}
 
@@ -71,21 +139,22 @@ MOST_NUMBERS = 500  # of a row
 INSTRUCTIONS = (masks.__name__, memory.__name__)  # modules for whose functions an engine has instructions
 
 
-class Engine(Protocol):
-    """What a compiled engine puts into a module of its own: the module `teleop.sweeps.NAME`."""
-
-    SOURCES: tuple[str, ...]  # the modules of its own that a kernel is made with
-    REAL: str  # how a float is taken from `reals` at `base`; {} is its number
-    WIDTH: int  # scenes side by side
-    CALLS: Mapping[str, str]  # the kernels of a module by name: how each calls `loop` for tile t
-
-    @staticmethod
-    def maker(word: str) -> str:
-        """The function that makes the part called `word` of what stands at a place."""
-        ...
+SOURCES = (*[f"teleop.sweeps.kernels.{name}" for name in ("engines", "functions", "lanes", "rings")],
+           "teleop.simulation.expressions", "teleop.simulation.specialise")  # modules that a kernel is made with
 
 
-def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str, *, keep: bool = True) -> ModuleType:
+class CompiledEngine(NamedTuple):
+    """The parts of a kernel's module that differ between engines."""
+
+    name: str
+    real: str  # how a float is taken from `reals` at `base`; {} is its number
+    width: int  # scenes side by side
+    calls: Mapping[str, str]  # the kernels of a module by name: how each calls `loop` for tile t
+    part_maker: Callable[[str], str]  # the name of the function that makes the part of a name from its place
+
+
+def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: CompiledEngine, *, keep: bool = True
+           ) -> ModuleType:
     """The loaded module of a kernel. Raises `NotCompiled` or an error of numba's where a part is not made for that.
 
     `keep`: in the cache folder, else in memory alone.
@@ -94,15 +163,14 @@ def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str, *
     return _loaded(text, name) if keep else _in_memory(text, f"teleop_kernel_{name}")
 
 
-def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: str) -> tuple[str, str]:
+def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: CompiledEngine) -> tuple[str, str]:
     """The module of a kernel, and the name that it goes by."""
     import numba
     import numpy
 
-    own = cast("Engine", import_module(f"teleop.sweeps.kernels.{engine}"))
     lines: list[str] = []
     pieces: list[Any] = []
-    made = kernel_lines(scene, measures, engine=engine)
+    made = kernel_lines(scene, measures, engine=engine.name)
     for word, part in sorted(made.names(functions_of_kernel(scene, bodies)).items()):
         if isinstance(part, float):
             continue  # inf and nan
@@ -113,7 +181,7 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
             if isinstance(each, FunctionType) and (odd := unlike_python(each)):
                 raise NotCompiled(f"{each.__qualname__} has {odd}")
         places = [_place(word, each) for each in _pieces(part)]
-        lines.append(f"{word} = {own.maker(word)}({', '.join(map(repr, places))})")
+        lines.append(f"{word} = {engine.part_maker(word)}({', '.join(map(repr, places))})")
         pieces += _pieces(part)
 
     def class_name(kind: Any) -> str:
@@ -125,10 +193,10 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
             lines.append(line)
         return word
 
-    flat, width = leaves(tree_of(scene, bodies)), own.WIDTH
+    flat, width = leaves(tree_of(scene, bodies)), engine.width
     if len(flat.reals) > MOST_NUMBERS:  # a long line of late forces, say: compiling takes minutes
         raise NotCompiled(f"it has {len(flat.reals)} numbers, above {MOST_NUMBERS}, which are too many to be laid out")
-    tree = expression(flat.shape, own.REAL, class_name)
+    tree = expression(flat.shape, engine.real, class_name)
     axes = range(scene.axes if scene.reference is not None else 0)
     words = {
         "row": (len(gives(scene, measures)) + 2) * width, "width": width,
@@ -136,10 +204,10 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: s
         "own_paths": f"({''.join(f'(each(paths, t * {len(axes)} + {i}), 0.0), ' for i in axes)})",
     }
     kernels = "".join(KERNEL.format(name=name, reals=len(flat.reals) * width, tree=tree, call=call.format(**words))
-                      for name, call in own.CALLS.items())
-    text = TEXT.format(engine=engine, kernels=kernels, parts=os.linesep.join(lines), loop=made.text(),
+                      for name, call in engine.calls.items())
+    text = TEXT.format(engine=engine.name, kernels=kernels, parts=os.linesep.join(lines), loop=made.text(),
                        lines=made.lines())
-    stack = [_text_of(name) for name in own.SOURCES]
+    stack = [_text_of(name) for name in SOURCES]
     versions = [sys.version, numba.__version__, numpy.__version__]
     return text, digest([text, *sources(pieces), *stack, *versions])
 

@@ -7,32 +7,33 @@ as it stands; fast-math is off, so every engine agrees with plain Python to the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from functools import lru_cache
+from itertools import count
 from math import isfinite
+from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
-from teleop.simulation.bodies import Bodies
+from teleop.simulation.bodies import Bodies, reference_samples
 from teleop.simulation.felt import AT_END, AT_REST, OF_SLAVE, Frame, frame_of, resting
 from teleop.simulation.felt import figures as summed
 from teleop.simulation.metrics import given_out
-from teleop.simulation.plan import median_age
+from teleop.simulation.plan import link_plans, median_age
 from teleop.simulation.rest import Still
 from teleop.simulation.source import Lines, functions, lines
 from teleop.simulation.structure import numbers_of, record, structure_of
 from teleop.simulation.tick import loop
 from teleop.stages.end import RunHas
-from teleop.sweeps.kernels.figures import Figures, LaneFigures
-from teleop.sweeps.kernels.leaves import Leaves
-from teleop.sweeps.kernels.measures import KEPT, MAGNITUDES, SWINGS, kept, layout, magnitude_of
+from teleop.sweeps.kernels.figures import KEPT, MAGNITUDES, SWINGS, Figures, LaneFigures, kept, layout, magnitude_of
 
 if TYPE_CHECKING:
     from teleop.simulation.plan import Plan
-
 
 class NotCompiled(Exception):
     """Why a structure of scene has no compiled kernel."""
@@ -122,7 +123,7 @@ def names_of(scene: Scene, bodies: Bodies, made: Lines | None = None) -> dict[st
     return (made or kernel_lines(scene, ())).names(functions_of_kernel(scene, bodies))
 
 
-def plain(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
+def plain_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kernel:
     """The kernel in plain Python."""
     own_loop = kernel_lines(scene, measures).function(functions_of_kernel(scene, bodies))
 
@@ -229,3 +230,139 @@ def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict
         known = {name: float(value) for name, value in named.items() if isfinite(value)}
         found.append((status, abs(output.ran), known))
     return found
+
+
+FLOATS = {float}
+_SHAPES: dict[Any, Any] = {}  # one of each, however many rows have it
+
+
+class Leaves(NamedTuple):
+    """A tree taken apart."""
+
+    shape: tuple[Any, ...]  # "(", ")", "i", "a", so many floats, and the class of each NamedTuple in place of its "("
+    reals: array[float]
+    wholes: list[int]
+    arrays: list[Any]
+
+
+def leaves(tree: Any) -> Leaves:
+    """A tree taken apart. A list is an array; None the whole number 0: what a kernel is given and does not name."""
+    found = Leaves((), array("d"), [], [])
+    shape: list[Any] = []
+    _take(tree, shape, *found[1:])
+    kind = tuple(shape)
+    return Leaves(_SHAPES.setdefault(kind, kind), *found[1:])
+
+
+def _take(tree: Any, shape: list[Any], reals: array[float], wholes: list[int], arrays: list[Any]) -> None:
+    if isinstance(tree, tuple):
+        shape.append(type(tree) if hasattr(tree, "_fields") else "(")
+        if set(map(type, tree)) == FLOATS:  # nearly always
+            shape.append(len(tree))
+            reals.extend(tree)
+        else:
+            for each in tree:
+                _take(each, shape, reals, wholes, arrays)
+        shape.append(")")
+    elif isinstance(tree, float):
+        shape.append(1)
+        reals.append(float(tree))
+    elif isinstance(tree, list):
+        import numpy as np
+
+        shape.append("a")
+        arrays.append(np.asarray(tree))
+    else:
+        shape.append("i")
+        wholes.append(0 if tree is None else int(tree))
+
+
+def expression(shape: tuple[Any, ...], real: str, class_name: Callable[[type], str]) -> str:
+    """What puts the tree together, `real` with the number of a float in place of `{}`."""
+    numbers = {"f": count(), "i": count(), "a": count()}
+    words = {"f": real, "i": "wholes[{}]", "a": "arrays[{}]"}
+
+    def some(code: Any, rest: Iterator[Any]) -> list[str]:
+        """What one code stands for: several numbers side by side, or one tuple."""
+        if isinstance(code, int) or code in words:
+            kind, many = ("f", code) if isinstance(code, int) else (code, 1)
+            return [words[kind].format(next(numbers[kind])) for _ in range(many)]
+        inner: list[str] = []
+        while (each := next(rest)) != ")":
+            inner += some(each, rest)
+        start = "(" if code == "(" else f"{class_name(code)}("
+        return [f"{start}{', '.join(inner)}{',' if inner and code == '(' else ''})"]
+
+    rest = iter(shape)
+    return some(next(rest), rest)[0]
+
+
+TICKS = 4_000_000  # of schedules and paths, about: 64 MB
+
+_HELD: dict[Any, tuple[Any, int]] = {}  # what was made, and for how many ticks
+_KEEPING = Lock()
+
+
+class Schedules:
+    """The link of some rows: what a seed makes of it, drawn when it is asked for."""
+
+    __slots__ = ("_key", "_scene", "_seed")
+
+    def __init__(self, key: Any, scene: Scene, seed: int) -> None:
+        self._key, self._scene, self._seed = key, scene, seed
+
+    @property
+    def dt(self) -> float:
+        """The tick, s."""
+        return self._scene.dt_ns / 1e9
+
+    def schedule(self) -> LinkSchedule:
+        """The packets played at each tick. Raises `Refused` where the link does."""
+        return _once(self._key, self._scene.ticks, lambda: LinkSchedule.of(link_plans(self._scene, self._seed)))  # type: ignore[no-any-return]
+
+
+def schedules_key(scene: Scene, seed: int) -> Any:
+    """What tells the schedules of a row from those of others."""
+    left_out = scene.left_out_m, scene.left_out_s
+    if scene.link is None and left_out == (None, None) and scene.deadband is None:
+        return "no link", scene.ticks, scene.dt_ns
+    key = scene.link, scene.played_as, seed, scene.ticks, scene.dt_ns, scene.wire_size, left_out, (
+        scene.slave is None, scene.deadband is None)
+    try:
+        hash(key)
+    except TypeError:  # a link of the user's own that has no hash
+        return id(scene.link), key[2:6], object()
+    return key
+
+
+def path_of(scene: Scene, *, compiled: bool) -> Any:
+    """The hand's path, as lists for plain Python and as arrays for compiled code."""
+    if scene.reference is None:
+        return () if compiled else None
+
+    def make() -> Any:
+        import numpy as np
+
+        path = reference_samples(scene) or ()
+        if len(path) != scene.axes or any(len(axis) <= scene.ticks for axis in path):
+            raise Refused(f"the hand's path has not the {scene.ticks + 1} samples for each of {scene.axes} axes that "
+                          "it was asked for; see its samples(axes, count, dt_ns)")
+        return tuple([np.ascontiguousarray(axis, dtype=np.float64) for axis in path]) if compiled else path
+
+    return _once(("path", scene.reference, scene.axes, scene.ticks, scene.dt_ns, compiled), scene.ticks, make)
+
+
+def _once(key: Any, ticks: int, make: Callable[[], Any]) -> Any:
+    """What `make` gives, kept for the next rows; the oldest is dropped. A key that cannot be kept is made anew."""
+    try:
+        if (held := _HELD.get(key)) is not None:
+            return held[0]
+    except TypeError:  # a link or a path of the user's own that has no hash
+        return make()
+    made = make()
+    with _KEEPING:
+        _HELD[key] = made, ticks
+        total = sum(each for _, each in _HELD.values()) if len(_HELD) * ticks > TICKS else 0
+        while total > TICKS and len(_HELD) > 1:
+            total -= _HELD.pop(next(iter(_HELD)))[1]
+    return made

@@ -16,8 +16,19 @@ import numpy as np
 from llvmlite import ir
 from numba.extending import overload
 
-from teleop.sweeps.kernels.lanes import VECTOR, WIDTH, LanesType, lanes, mask, types
-from teleop.sweeps.kernels.lanewise import address, intrinsic_of, numbers_in, tree_type, tree_value
+from teleop.sweeps.kernels.lanes import (
+    VECTOR,
+    WIDTH,
+    LanesType,
+    address,
+    intrinsic_of,
+    lanes,
+    mask,
+    numbers_in,
+    tree_type,
+    tree_value,
+    types,
+)
 
 WHOLE, INDEX = ir.IntType(64), ir.IntType(32)
 

@@ -17,7 +17,7 @@ from scenarios.examples.effect import Handover
 from scenarios.examples.law import SmoothReflection
 from scenarios.examples.stage import AlphaBeta
 from teleop import BackwardDifference, check_law, load_scene
-from teleop.sweeps.kernels.bytecode import without_lanes
+from teleop.sweeps.kernels.functions import without_lanes
 from tests.teleop.stages.velocity.test_contract import conforms
 
 FOLDER = Path(scenarios.examples.__file__ or "").parent

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.bench.back_to_back import PARTS, place_of
+from teleop.bench.cost import PARTS, place_of
 from teleop.scene.library import ROOT
 
 
@@ -21,7 +21,7 @@ def test_each_part_that_is_timed_is_a_function_of_the_stack(name: str) -> None:
 
 @pytest.mark.live
 def test_two_ends_back_to_back_hear_each_other_and_have_all_the_parts() -> None:
-    program = Path(place_of("bench.back_to_back:main")[0].__file__)
+    program = Path(place_of("bench.cost:main")[0].__file__)
     code = f"import runpy, sys; m = runpy.run_path({str(program)!r}); g = m['main'].__globals__; " \
            "g['TICKS'], g['WARM'] = 300, 50; m['main']()"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

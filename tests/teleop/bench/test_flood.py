@@ -10,7 +10,7 @@ import pytest
 
 from teleop.bench import flood
 from teleop.bench.__main__ import BENCHES
-from teleop.bench.compiled import compiled
+from teleop.bench.timing import compiled
 
 pytestmark = [
     pytest.mark.live,

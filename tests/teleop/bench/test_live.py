@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from teleop.bench import __main__ as bench
-from teleop.bench.compiled import compiled
 from teleop.bench.live import Alone, Round, computing, rows
+from teleop.bench.timing import compiled
 from tests.programs import COMPILERS, program
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from teleop.bench.rivals import control, jitcdde, numpy_batch
-from teleop.bench.rivals.numpy_wall import change, located, stepped
+from teleop.bench.rivals.numpy_batch import change, located, stepped
 from teleop.bench.rivals.rival import Absent, exact_positions, library, stiffnesses
 from teleop.physics.contact import events
 from teleop.scene.loading import load_scene

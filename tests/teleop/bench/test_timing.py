@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from teleop.bench import parts, timing
-from teleop.bench.compiled import compiled
-from teleop.bench.timing import CarriedLoad, Late, carried, datagrams, round_trips, ticks
+from teleop.bench import timing
+from teleop.bench.timing import CarriedLoad, Late, carried, compiled, datagrams, round_trips, ticks
 from teleop.live.net.wire import Wire, bind_udp
 
 pytestmark = pytest.mark.live
@@ -28,7 +27,7 @@ def c(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.mark.parametrize("spin_ns", [0, 150_000])
 def test_an_alarm_is_timed(spin_ns: int) -> None:
-    late = asyncio.run(parts.tick(50, spin_ns))
+    late = asyncio.run(timing.tick(50, spin_ns))
     assert len(late) == 50
     assert min(late) >= 0
 
@@ -37,20 +36,20 @@ def test_ticks_that_a_stall_swallowed_are_late_each_by_its_own() -> None:
     """One late call for all of them made a loop that stalls look better than one that is a little late each time."""
     async def run() -> list[int]:
         asyncio.get_running_loop().call_later(0.04, time.sleep, 0.01)
-        return await parts.tick(60, 0)
+        return await timing.tick(60, 0)
 
     late = asyncio.run(run())
     assert len(late) == 60
     assert sum(each > 3_000_000 for each in late) >= 5
-    assert any(one - after == parts.TICK_NS for one, after in pairwise(late))
+    assert any(one - after == timing.TICK_NS for one, after in pairwise(late))
 
 
 def test_a_datagram_goes_there_and_back() -> None:
     async def run() -> list[int]:
         over = asyncio.Event()
-        echo = asyncio.create_task(parts.echo(Wire(there, None), over))
+        echo = asyncio.create_task(timing.echo(Wire(there, None), over))
         await asyncio.sleep(0)
-        trips = await parts.ping(Wire(here, there.getsockname()), 20)
+        trips = await timing.ping(Wire(here, there.getsockname()), 20)
         over.set()
         await echo
         return trips

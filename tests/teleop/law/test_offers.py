@@ -18,9 +18,8 @@ from teleop.scene.playout import Energy
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.notes import facts_of, fitted
 from teleop.stages.scaling import Scaling
-from teleop.sweeps.kernels.kernel import available, figures, plain
-from teleop.sweeps.kernels.scalar import scalar
-from teleop.sweeps.kernels.vector import vector
+from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
+from teleop.sweeps.kernels.kernel import available, figures, plain_kernel
 from tests.teleop.sweeps.kernels.test_kernel import inputs
 
 
@@ -99,7 +98,7 @@ class TestEnergyThatALawKeeps:
         scenes = [scene(Dampers(B=0.1 * i), duration=0.2) for i in range(8)]
         measures = sorted(available(scenes[0]))
         found = []
-        for engine in (plain, scalar, vector):
+        for engine in (plain_kernel, scalar_kernel, vector_kernel):
             kernel = engine(scenes[0], exact_bodies(scenes[0]), measures)
             found.append([each[2] for each in figures(kernel, [inputs(kernel, one, 1) for one in scenes])])
         single = [run(one, seed=1).metrics for one in scenes]

@@ -11,9 +11,8 @@ from teleop import At, Refused, Scene, Watchdog, check_law, load_scene, run
 from teleop.analysis.models.linear import linear_scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.source import rendered
-from teleop.sweeps.kernels.kernel import available, figures, plain
-from teleop.sweeps.kernels.scalar import scalar
-from teleop.sweeps.kernels.vector import vector
+from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
+from teleop.sweeps.kernels.kernel import available, figures, plain_kernel
 from tests.teleop.sweeps.kernels.test_kernel import inputs
 
 
@@ -103,7 +102,7 @@ def test_every_engine_tells_a_law_the_same() -> None:
     scenes = [replace(timed(), law=Timed(K=150.0 + 10.0 * i)) for i in range(8)]
     measures = sorted(available(scenes[0]))
     found = []
-    for engine in (plain, scalar, vector):
+    for engine in (plain_kernel, scalar_kernel, vector_kernel):
         kernel = engine(scenes[0], exact_bodies(scenes[0]), measures)
         found.append(repr(figures(kernel, [inputs(kernel, scene, 1) for scene in scenes])))
     assert found[0] == found[1] == found[2]

@@ -177,12 +177,13 @@ class TestInASweep:
     def test_another_content_is_another_kernel(self, written: Path) -> None:
         pytest.importorskip("numba")
         from teleop.sweeps.kernels.compiled import module_text
+        from teleop.sweeps.kernels.engines import SCALAR
 
         names = set()
         for text in (MINE, MINE, MINE.replace("+ self.B * at.v,", "- self.B * at.v,")):
             (written / "law_mine.py").write_text(text)
             scene = load_scene("soft_tissue", law="law_mine.py")
-            names.add(module_text(scene, exact_bodies(scene), ["x_err_rms"], "scalar")[1])
+            names.add(module_text(scene, exact_bodies(scene), ["x_err_rms"], SCALAR)[1])
         assert len(names) == 2
 
 

@@ -17,9 +17,8 @@ from teleop.scene.scene import both_ends
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.source import rendered
 from teleop.sweeps.chunk import Job, work
-from teleop.sweeps.kernels.kernel import available, figures, plain
-from teleop.sweeps.kernels.scalar import scalar
-from teleop.sweeps.kernels.vector import vector
+from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
+from teleop.sweeps.kernels.kernel import available, figures, plain_kernel
 from tests.teleop.sweeps.kernels.test_kernel import inputs
 
 SOME = LeftOutTicks((25, 26, 27, 35, 50, 51, 90, 91, 92, 93, 94))
@@ -101,7 +100,8 @@ def test_every_engine_gives_the_same_bits_with_a_schedule_for_all_lanes_or_one_f
         device_s=Device(every=3))
     scenes = [replace(base, left_out_m=LeftOut(0.05 + 0.05 * i), left_out_s=LeftOut(0.2, 4.0)) for i in range(8)]
     measures = sorted(available(scenes[0]))
-    engines = [(engine, engine(scenes[0], exact_bodies(scenes[0]), measures)) for engine in (plain, scalar, vector)]
+    engines = [(engine, engine(scenes[0], exact_bodies(scenes[0]), measures))
+               for engine in (plain_kernel, scalar_kernel, vector_kernel)]
     for alike in (True, False):
         found = []
         for _, kernel in engines:

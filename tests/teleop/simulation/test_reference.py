@@ -19,14 +19,14 @@ from teleop.simulation.tick import live, loop
 from teleop.stages.end import Recorder
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
-from teleop.sweeps.kernels import measures as running
+from teleop.sweeps.kernels import figures as running
 from teleop.sweeps.kernels.kernel import (
     Inputs,
     LinkSchedule,
     available,
     functions_of_kernel,
     kernel_lines,
-    plain,
+    plain_kernel,
     tree_of,
 )
 from tests.teleop.simulation.lanes import WIDTH, WORDS, lane_by_lane, side_by_side
@@ -98,7 +98,7 @@ def test_lines_for_eight_scenes_run_in_plain_python_and_give_the_bits_of_each(le
     rows = [Inputs(tree_of(scene, own.bodies, compiled=False), None, scene.ticks, LinkSchedule.of(link_plans(scene, 0)),
                    own.reference, None, frame_of(scene)) for scene, own in zip(scenes, ready, strict=True)]
     lags = [row.schedule.lags for row in rows]
-    alone = plain(first, ready[0].bodies, measures).run(rows, lags)
+    alone = plain_kernel(first, ready[0].bodies, measures).run(rows, lags)
     made = kernel_lines(first, measures, engine="vector")
     names = {**made.names(functions_of_kernel(first, ready[0].bodies)), **WORDS}
     for word, function in names.items():

@@ -28,9 +28,8 @@ from teleop.stages.device import Device
 from teleop.stages.force_cap import Cap
 from teleop.stages.operator import scheduled
 from teleop.stages.watchdog import Watchdog
-from teleop.sweeps.kernels.kernel import Kernel, figures, plain
-from teleop.sweeps.kernels.scalar import scalar
-from teleop.sweeps.kernels.vector import vector
+from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
+from teleop.sweeps.kernels.kernel import Kernel, figures, plain_kernel
 from tests.teleop.protocol.test_endpoint import MS, START, met
 from tests.teleop.sweeps.kernels.test_kernel import assert_as_a_run, inputs
 
@@ -152,8 +151,8 @@ def test_a_small_slew_limit_holds_no_force_for_more_than_a_second_after_the_clut
     last = np.flatnonzero(size).max()
     assert 3545 < last < 2500 + 50 + 1000, "the ramp and a second"
     assert size[last] > 0.01, "which the slew limit still held"
-    one = plain(slow, exact_bodies(slow), MEASURES)
-    assert repr(rows(vector(slow, exact_bodies(slow), MEASURES), [slow])) == repr(rows(one, [slow]))
+    one = plain_kernel(slow, exact_bodies(slow), MEASURES)
+    assert repr(rows(vector_kernel(slow, exact_bodies(slow), MEASURES), [slow])) == repr(rows(one, [slow]))
     by_device, events = driven(slow, SimulatedMaster(slow))
     assert by_device["f_m"].tobytes() == trace["f_m"].tobytes()
     assert any(event.what == "zero" for event in events)
@@ -233,7 +232,7 @@ def rows(kernel: Kernel, scenes: list[Scene]) -> list[Any]:
     return figures(kernel, [inputs(kernel, of, 1) for of in scenes])
 
 
-@pytest.mark.parametrize("engine", [pytest.param(scalar, marks=pytest.mark.soak), vector])
+@pytest.mark.parametrize("engine", [pytest.param(scalar_kernel, marks=pytest.mark.soak), vector_kernel])
 def test_every_engine_gives_the_bits_of_a_run(engine: Any) -> None:
     """Scenes with schedules of their own, some of a few spans and some of many, side by side."""
     schedules = [Operator(clutch=bouncing(n, 2 + 2 * (n % 2)), absent=bouncing(20 + n, 2), ramp=0.004 * (n + 1),
@@ -242,9 +241,9 @@ def test_every_engine_gives_the_bits_of_a_run(engine: Any) -> None:
     scenes = [scene(each, PositionPosition(), duration=0.3, start_s=0.01, cap=Cap(f_max=3.0, slew=300.0))
               for each in schedules]
     for of in scenes[:2]:
-        assert_as_a_run(plain(of, exact_bodies(of), MEASURES), of)
+        assert_as_a_run(plain_kernel(of, exact_bodies(of), MEASURES), of)
     first = scenes[1]
-    alone = rows(plain(first, exact_bodies(first), MEASURES), scenes)
+    alone = rows(plain_kernel(first, exact_bodies(first), MEASURES), scenes)
     assert repr(rows(engine(first, exact_bodies(first), MEASURES), scenes)) == repr(alone)
 
 

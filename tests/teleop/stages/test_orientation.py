@@ -27,8 +27,7 @@ from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import kernel_of
-from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, figures, tree_of
-from teleop.sweeps.shared import path_of
+from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, figures, path_of, tree_of
 from tests.teleop.stages.tumbling import apart, counted, orientations, tumbling
 
 ROUGH = parse_link("delay(0.01) | uniform(0.02) | bernoulli(0.1)")

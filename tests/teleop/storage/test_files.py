@@ -16,8 +16,8 @@ from teleop import Refused, load_scene
 from teleop.protocol.manifest import fingerprint
 from teleop.scene.library import beside
 from teleop.storage.files import MOST, is_part, open_regular, read_bytes, replacing
-from teleop.sweeps.matrix_file import read_matrix
-from teleop.sweeps.worker import digest_of
+from teleop.sweeps.cluster import digest_of
+from teleop.sweeps.matrix import read_matrix
 
 READERS: dict[str, Callable[[str], object]] = {
     "a delivery trace": Mahimahi, "a ping log": PingLog, "a hand's motion": lambda path: Recording(path=path),

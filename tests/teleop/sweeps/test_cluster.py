@@ -23,9 +23,8 @@ from teleop.scene.library import ROOT
 from teleop.simulation.result import Result
 from teleop.sweeps import cluster
 from teleop.sweeps.chunk import Job
-from teleop.sweeps.cluster import connected, files_of, parse_address
+from teleop.sweeps.cluster import answer, connected, digest_of, files_of, parse_address, sources
 from teleop.sweeps.runner import carry_out, plan_sweep
-from teleop.sweeps.worker import answer, digest_of, sources
 from tests.waiting import PATIENCE, until
 
 pytestmark = pytest.mark.live

@@ -12,10 +12,9 @@ import pytest
 
 from teleop import Refused
 from teleop.__main__ import main
-from teleop.sweeps.definition import rows_of
 from teleop.sweeps.pictures.layout import thinned
 from teleop.sweeps.pictures.report import summary_of, told_of
-from teleop.sweeps.store import LONGEST, RowNumbers, Store
+from teleop.sweeps.store import LONGEST, RowNumbers, Store, rows_of
 
 DEFINITION: dict[str, Any] = {
     "scene": "soft_tissue", "fixed": {}, "metrics": ["x_err_rms"], "sources": "0", "version": "0.1.0",

@@ -12,8 +12,17 @@ import pytest
 
 from teleop import Refused, load_scene, run
 from teleop.scene.library import ROOT
-from teleop.sweeps.matrix import RowOutcome, run_block, run_matrix, summary, table
-from teleop.sweeps.matrix_file import BUILT_IN, MatrixBlock, Row, read_matrix
+from teleop.sweeps.matrix import (
+    BUILT_IN,
+    MatrixBlock,
+    Row,
+    RowOutcome,
+    read_matrix,
+    run_block,
+    run_matrix,
+    summary,
+    table,
+)
 
 FULL = """
 [[block]]

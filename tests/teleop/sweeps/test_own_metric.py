@@ -16,7 +16,7 @@ import pytest
 from teleop import Refused, Result, load_scene, run, sweep
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps import engine as engines
-from teleop.sweeps.own_metric import MetricMistake, Raised, SentMistake, asked
+from teleop.sweeps.chunk import MetricMistake, Raised, SentMistake, asked
 
 FIXED = {"duration": 0.1}
 STIFFNESS = {"k_e": [50.0, 100.0, 150.0]}

@@ -11,8 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from teleop import Refused
-from teleop.sweeps.grid import Range, grid
-from teleop.sweeps.typed import parse_axes, parse_ranges
+from teleop.sweeps.grid import Range, grid, parse_axes, parse_ranges
 
 NAMES = ("delay", "k_e", "d_e", "law", "law.b", "link")
 numbers = st.one_of(st.integers(-(10**6), 10**6), st.floats(allow_nan=False, allow_infinity=False))

@@ -19,7 +19,7 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.simulation.notes import facts_of
-from teleop.sweeps.kernels.bytecode import unlike_python, without_lanes
+from teleop.sweeps.kernels.functions import unlike_python, without_lanes
 
 NUMBERS: dict[str, float] = {"dt": 1e-3, "k": 5000.0, "alpha": 50.0, "v_min": 1e-3, "drag": 0.0}
 

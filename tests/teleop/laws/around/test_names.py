@@ -26,6 +26,7 @@ from teleop.simulation.ending import scene_arguments as as_typed
 from teleop.simulation.prepared import prepare
 from teleop.simulation.result import parameters
 from teleop.sweeps.kernels.compiled import module_text
+from teleop.sweeps.kernels.engines import VECTOR
 from tests.teleop.conftest import Answer
 
 Typed = Callable[..., Answer]
@@ -113,7 +114,7 @@ def test_it_runs_in_every_engine_to_the_bit_and_rows_that_differ_in_numbers_shar
     names = set()
     for k in (0.1, 0.2):
         scene = load_scene("free_motion", law=f"deadband({k}) | pfra", duration=0.3)
-        names.add(module_text(scene, prepare(scene).bodies, ("x_err_rms",), "vector")[1])
+        names.add(module_text(scene, prepare(scene).bodies, ("x_err_rms",), VECTOR)[1])
     assert len(names) == 1
 
 

@@ -15,7 +15,7 @@ from teleop.laws.p_d import PDamped
 from teleop.laws.pfra import PFRA
 from teleop.laws.tdpa import TDPA
 from teleop.laws.wave import Wave
-from teleop.sweeps.kernels.bytecode import unlike_python, without_lanes
+from teleop.sweeps.kernels.functions import unlike_python, without_lanes
 
 WAVES = {0.0: 3.9736, 0.05: 0.936037}  # N, pressed for ever by hard_wall: without a coupling, see test_touch
 

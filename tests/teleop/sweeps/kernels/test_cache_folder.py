@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from teleop.scene.library import ROOT
-from teleop.sweeps.kernels import cache_folder as kept
-from teleop.sweeps.kernels.cache_folder import KernelsNotKept, made_private, open_to_others, tell_once
+from teleop.sweeps.kernels import compiled as kept
+from teleop.sweeps.kernels.compiled import KernelsNotKept, made_private, open_to_others, tell_once
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no owner there")
 KERNELS = "bilateral-teleop/kernels"

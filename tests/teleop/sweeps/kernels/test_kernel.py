@@ -29,9 +29,18 @@ from teleop.stages.velocity.low_pass import LowPass
 from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.kernels import compiled
 from teleop.sweeps.kernels.compiled import NotCompiled, module_text
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, LinkSchedule, available, figures, kernel_lines, plain, tree_of
-from teleop.sweeps.kernels.leaves import leaves
-from teleop.sweeps.kernels.scalar import scalar
+from teleop.sweeps.kernels.engines import SCALAR, scalar_kernel
+from teleop.sweeps.kernels.kernel import (
+    Inputs,
+    Kernel,
+    LinkSchedule,
+    available,
+    figures,
+    kernel_lines,
+    leaves,
+    plain_kernel,
+    tree_of,
+)
 
 ROUGH = "delay(0.01) | uniform(0.01) | bernoulli(0.1) ; delay(0.02)"
 SHORT = 0.4  # s
@@ -94,12 +103,12 @@ class TestInPlainPython:
     @pytest.mark.parametrize("name", built_in_scenes())
     def test_every_scenes_row_is_its_run(self, name: str, tmp_path: Path) -> None:
         of = scene(name, tmp_path)
-        assert_as_a_run(plain(of, exact_bodies(of), sorted(available(of))), of)
+        assert_as_a_run(plain_kernel(of, exact_bodies(of), sorted(available(of))), of)
 
     @pytest.mark.parametrize("name", MORE)
     def test_and_that_of_others(self, name: str) -> None:
         of = MORE[name]()
-        assert_as_a_run(plain(of, exact_bodies(of), sorted(available(of))), of)
+        assert_as_a_run(plain_kernel(of, exact_bodies(of), sorted(available(of))), of)
 
     def test_figures_that_are_not_asked_for_have_no_lines(self) -> None:
         of = load_scene("canonical", energy=True)
@@ -112,26 +121,27 @@ class TestCompiled:
     @pytest.mark.parametrize("name", ["canonical", "recorded_reach", "encoder_wall", "virtual_coupling", "jittery_wan"])
     def test_every_engine_agrees_to_the_last_bit(self, name: str, tmp_path: Path) -> None:
         of = scene(name, tmp_path)
-        assert_as_a_run(scalar(of, exact_bodies(of), sorted(available(of))), of)
+        assert_as_a_run(scalar_kernel(of, exact_bodies(of), sorted(available(of))), of)
 
     @pytest.mark.parametrize("name", ["rough link, energy", "diverges late over a rough link", "overflows", "devices",
                                       "limits", "limits, not a number"])
     def test_on_random_links_and_where_a_run_ends_early(self, name: str) -> None:
         of = MORE[name]()
-        kernel = scalar(of, exact_bodies(of), sorted(available(of)))
+        kernel = scalar_kernel(of, exact_bodies(of), sorted(available(of)))
         for seed in range(5):
             assert_as_a_run(kernel, of, seed)
 
     def test_one_kernel_serves_every_number(self) -> None:
         of = replace(virtual_wall(), duration=SHORT)
-        kernel = scalar(of, exact_bodies(of), ("f_m_max",))
+        kernel = scalar_kernel(of, exact_bodies(of), ("f_m_max",))
         for K, dt in ((100.0, 1e-3), (5000.0, 1e-3), (5000.0, 3e-4)):
             assert_as_a_run(kernel, replace(of, law=replace(of.law, K=K), dt=dt))
 
     def test_what_another_process_cannot_find_is_not_compiled(self) -> None:
         of = replace(load_scene("canonical"), law=Local(), duration=SHORT)
+        bodies = exact_bodies(of)._replace(instead={"move_s0": lambda *rest: (*rest[1:3], 0)})
         with pytest.raises(NotCompiled, match="made during the run"):
-            scalar(of, exact_bodies(of)._replace(instead={"move_s0": lambda *rest: (*rest[1:3], 0)}), ("x_err_max",))
+            scalar_kernel(of, bodies, ("x_err_max",))
 
 
 class Nothing(NamedTuple):
@@ -216,9 +226,9 @@ def test_a_folder_that_cannot_be_written_to_leaves_the_kernel_in_memory(
     (tmp_path / "taken").write_text("a file where the folder should be")
     monkeypatch.setattr(compiled, "folder", lambda: tmp_path / "taken" / "kernels")
     of = replace(virtual_wall(b=0.81), duration=0.05)
-    text, name = module_text(of, exact_bodies(of), ("f_m_max", "E_port_end"), "scalar")
+    text, name = module_text(of, exact_bodies(of), ("f_m_max", "E_port_end"), SCALAR)
     sys.modules.pop(f"teleop_kernel_{name}", None)
-    assert_as_a_run(scalar(of, exact_bodies(of), ("f_m_max", "E_port_end")), of)
+    assert_as_a_run(scalar_kernel(of, exact_bodies(of), ("f_m_max", "E_port_end")), of)
     assert "def loop(" in text
 
 

@@ -13,9 +13,8 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
-from teleop.sweeps.kernels.lane_parts import lane_part
-from teleop.sweeps.kernels.lanes import WIDTH
-from teleop.sweeps.kernels.lanewise import any_lane, broadcast, invert, lane, load, select, with_lane
+from teleop.sweeps.kernels.engines import lane_part
+from teleop.sweeps.kernels.lanes import WIDTH, any_lane, broadcast, invert, lane, load, select, with_lane
 from teleop.sweeps.kernels.rings import as_lanes, get, put, put_selected, ring, store
 
 ODD = [0.0, -0.0, 1.0, -1.5, 1e-310, -3e-320, 1e308, -1e308, math.inf, -math.inf, math.nan, math.pi]

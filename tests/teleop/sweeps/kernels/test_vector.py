@@ -25,8 +25,8 @@ from teleop.stages.passivity_controller import PassivityController
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.chunk import Job, work
-from teleop.sweeps.kernels.kernel import Kernel, NotVectorised, available, figures, plain
-from teleop.sweeps.kernels.vector import vector
+from teleop.sweeps.kernels.engines import VECTOR, vector_kernel
+from teleop.sweeps.kernels.kernel import Kernel, NotVectorised, available, figures, plain_kernel
 from tests.teleop.sweeps.kernels.test_kernel import inputs
 
 ROUGH = "delay(0.01) | uniform(0.01) | bernoulli(0.1) ; delay(0.02)"
@@ -38,7 +38,7 @@ def assert_same_bits(scenes: list[Scene], seeds: list[int]) -> None:
     """A vector kernel of the first scene's structure gives each what plain Python gives it."""
     first = scenes[0]
     measures = sorted(available(first))
-    lanes, alone = vector(first, exact_bodies(first), measures), plain(first, exact_bodies(first), measures)
+    lanes, alone = [make(first, exact_bodies(first), measures) for make in (vector_kernel, plain_kernel)]
 
     def rows(kernel: Kernel) -> list[Any]:
         return figures(kernel, [inputs(kernel, of, seed) for of, seed in zip(scenes, seeds, strict=True)])
@@ -272,7 +272,7 @@ class TestWhatHasNoLanes:
     def test_so_does_a_body_with_an_inner_state(self) -> None:
         of = replace(load_scene("relaxing_tissue"), duration=0.1)
         with pytest.raises(NotVectorised, match="inner state"):
-            vector(of, exact_bodies(of), ("x_err_rms",))
+            vector_kernel(of, exact_bodies(of), ("x_err_rms",))
 
 
 @pytest.mark.parametrize(("scene", "knobs"), [
@@ -309,7 +309,7 @@ def test_a_kernel_of_lanes_holds_only_what_the_scene_names() -> None:
     from teleop.sweeps.kernels.compiled import module_text
 
     of = replace(load_scene("free_motion", link="none"), energy=False)
-    text, _ = module_text(of, exact_bodies(of), ("x_err_rms",), "vector")
+    text, _ = module_text(of, exact_bodies(of), ("x_err_rms",), VECTOR)
     assert "move_free" in text
     for line in ("move_wall", "E_port", "packet(", "watch(", "f_err", "newest"):
         assert line not in text.partition("def loop")[2]
