@@ -1,4 +1,4 @@
-"""What `teleop demo --page` does: it serves the page until Ctrl-C, and puts together what was recorded."""
+"""Command `teleop demo --page`: serve the page until Ctrl-C, and merge the records of its parts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from teleop.errors import Refused, number_of
 from teleop.live.options import ticks_of
 from teleop.live.page.controls import Controls
 from teleop.live.page.server import HOST, Requests
-from teleop.live.page.session import Parts, Start
+from teleop.live.page.session import PageParts, Start
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.record import fresh_folder
@@ -48,22 +48,22 @@ def command(args: Namespace) -> Answer:
     requests = Requests(PAGE.read_bytes(), token := token_urlsafe(16))
     with output.live(), Interrupt() as interrupt, fresh_folder(args.out, f"{stem(args.scene)}-page") as claimed:
         folder = claimed.path
-        parts = Parts(folder, {"scene": args.scene, "seed": args.seed, "command": args.typed})
+        parts = PageParts(folder, {"scene": args.scene, "seed": args.seed, "command": args.typed})
         page = Page(controls, parts, start, interrupt, time.monotonic)
         way = Path(mkstemp(suffix=".html")[1]) if args.open else None
         try:
             asyncio.run(page.run(requests, args.port or 0, partial(_listening, token, way)))
         except OSError as error:
-            if not parts.ran:
+            if not parts.recorded:
                 raise
             _say(f"the page has ended, for the system refused something ({error.strerror or error}); see to that and "
                  "start it again")
         finally:
             if way is not None:
                 way.unlink(missing_ok=True)
-            if parts.ran:
+            if parts.recorded:
                 claimed.keep()
-        if not parts.ran:
+        if not parts.recorded:
             raise KeyboardInterrupt
         passed = interrupt.count
         results = parts.merge_all(args.scene, args.typed, _say, lambda: interrupt.count > passed)
@@ -75,7 +75,7 @@ def command(args: Namespace) -> Answer:
 
 
 def _check(args: Namespace) -> None:
-    """Refuse what a page cannot do beside."""
+    """Refuse the options that do not go with a page."""
     if args.lockstep:
         raise Refused("a page goes by the clock; leave --lockstep out")
     if args.plot or args.format:
@@ -86,10 +86,10 @@ def _check(args: Namespace) -> None:
 
 
 def _listening(token: str, way: Path | None, port: int) -> None:
-    """Say where the page is, and open it if that was asked for.
+    """Print the address of the page, and open it if there is a file `way` for that.
 
-    `way`: a file that no other user reads, to lead the browser there: the command lines of processes, on which the
-    token would stand, all users see.
+    No other user can read that file, which leads the browser there. All users see the command lines of processes, on
+    which the token would stand.
     """
     address = f"http://{HOST}:{port}/?token={token}"
     _say(f"page: {address}\non another machine type  ssh -L {port}:{HOST}:{port} {gethostname()}  there, and open the "

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from teleop.errors import Refused, nearest, number
 from teleop.law import known_laws, law_name
-from teleop.live.page.rows import Follower
+from teleop.live.page.rows import RecordTail
 from teleop.scene.axes import scales
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import import_bundled, scene_function
@@ -25,8 +25,8 @@ LABELS = {"delay": ("delay each way", "s"), "jitter": ("jitter, at most", "s"), 
           "k_e": ("stiffness", "N/m")}
 
 
-class Link(NamedTuple):
-    """A link in three numbers: s, s, share."""
+class LinkSettings(NamedTuple):
+    """Link in three numbers: s, s, share."""
 
     delay: float = 0.0
     jitter: float = 0.0
@@ -34,9 +34,9 @@ class Link(NamedTuple):
 
     @property
     def text(self) -> str:
-        """As `--link` takes it, without what is 0.
+        """The text for `--link`, without the effects that are 0.
 
-        >>> Link(0.05, 0.02).text, Link().text
+        >>> LinkSettings(0.05, 0.02).text, LinkSettings().text
         ('delay(0.05) | uniform(0.02)', 'delay(0.0)')
         """
         parts = [f"{effect}({value!r})" for effect, value in zip(("delay", "uniform", "bernoulli"), self, strict=True)
@@ -45,15 +45,15 @@ class Link(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """What was chosen on the page; None: what the scene was started with."""
+    """Settings chosen on the page; None: the setting with which the scene was started."""
 
     law: str | None = None
-    link: Link | None = None
+    link: LinkSettings | None = None
     k_e: float | None = None
 
 
 class Slider(NamedTuple):
-    """One that the page shows. `low` and `high` are its ends; `log`: its scale."""
+    """Slider of the page. `low` and `high` are its ends; `log`: its scale."""
 
     name: str
     label: str
@@ -65,7 +65,10 @@ class Slider(NamedTuple):
 
 
 class Controls:
-    """Those of the scene `name` with the knobs that were typed. Raises `Refused` for a scene that cannot be shown."""
+    """Controls of the scene `name`, which take the place of its typed knobs where a page has touched them.
+
+    Raises `Refused` for a scene that cannot be shown.
+    """
 
     def __init__(self, name: str, knobs: Mapping[str, str]) -> None:
         self.name = name
@@ -80,9 +83,9 @@ class Controls:
         self.first = self.scene(Choice())
 
     def knobs(self, choice: Choice) -> dict[str, str]:
-        """All knobs of the scene of this choice, as texts. Raises `Refused`."""
+        """Write all knobs of the scene of this choice as texts. Raises `Refused`."""
         knobs = dict(self._typed)
-        if choice.law is not None:  # with its own numbers: those of another law are none of its
+        if choice.law is not None:  # with its defaults: the gains of another law do not fit
             knobs = {key: value for key, value in knobs.items() if key != "law" and not key.startswith("law.")}
             knobs["law"] = choice.law
         if choice.link is not None:
@@ -94,22 +97,22 @@ class Controls:
         return live_knobs(self.name, knobs)
 
     def scene(self, choice: Choice) -> Scene:
-        """The scene of this choice. Raises `Refused`."""
+        """Load the scene of this choice. Raises `Refused`."""
         return both_ends(load_scene(self.name, **self.knobs(choice)))
 
     def chosen(self, choice: Choice, message: Mapping[str, Any]) -> Choice:
-        """The choice with what a page asks for besides. Raises `Refused` for a law or a number that is not offered."""
+        """Apply a page's message to a choice. Raises `Refused` for a law or a number that is not offered."""
         sliders = {slider.name: slider for slider in self.sliders(choice)}
         values = {}
         for key, value in message.items():
             if key in LABELS:
                 if key not in sliders:
-                    raise Refused(f"scene {self.name} has no knob {key}; {', '.join(sliders)} can be turned")
+                    raise Refused(f"scene {self.name} has no knob {key}; {', '.join(sliders)} can be changed")
                 values[key] = number(key, value, low=sliders[key].low, high=sliders[key].high, unit=sliders[key].unit)
         if "law" in message:
             law, offered = message["law"], [each["name"] for each in self.laws]
             if law not in offered:  # never a file: what a page names is not run
-                raise Refused(f"scene {self.name} has no law {law[:40]!r} to be turned to; {nearest(law, offered)}")
+                raise Refused(f"scene {self.name} has no law {law[:40]!r} to switch to; {nearest(law, offered)}")
             choice = choice._replace(law=None if law == law_name(self.first.laws[0]) else law)
         if "k_e" in values:
             choice = choice._replace(k_e=values.pop("k_e"))
@@ -117,45 +120,44 @@ class Controls:
             choice = choice._replace(link=self.link(choice)._replace(**values))
         return choice
 
-    def link(self, choice: Choice) -> Link:
-        """The link of a choice in three numbers: of the scene's own, as far as it has them, those forward."""
+    def link(self, choice: Choice) -> LinkSettings:
+        """The link of a choice in three numbers: of the scene's own the forward ones, as far as it has them."""
         if choice.link is not None:
             return choice.link
-        own: Any = self.first.link
-        effects = {} if own is None else {type(each).__name__: each for each in own.in_direction(0)}
-        found = [getattr(effects.get(kind), field, 0.0) for kind, field in
-                 (("Delay", "delay"), ("UniformJitter", "width"), ("Bernoulli", "p"))]
-        return Link(*found)
+        link: Any = self.first.link
+        effects = {} if link is None else {type(each).__name__: each for each in link.in_direction(0)}
+        return LinkSettings(*[getattr(effects.get(kind), field, 0.0) for kind, field in
+                              (("Delay", "delay"), ("UniformJitter", "width"), ("Bernoulli", "p"))])
 
     def sliders(self, choice: Choice) -> list[Slider]:
-        """What can be turned, at its values in this choice."""
-        own = self.link(Choice())
-        found = [Slider(name, *LABELS[name], 0.0, max(HIGHEST[name], getattr(own, name)),
-                        getattr(self.link(choice), name), False) for name in HIGHEST]
+        """The sliders of the scene, at their values in this choice."""
+        first = self.link(Choice())
+        sliders = [Slider(name, *LABELS[name], 0.0, max(HIGHEST[name], getattr(first, name)),
+                          getattr(self.link(choice), name), False) for name in HIGHEST]
         k_e = self.first.knobs.get("k_e")
         if isinstance(k_e, float) and k_e > 0.0:
             label, unit = LABELS["k_e"][0], self._declared["k_e"].knob.unit
-            found.append(Slider("k_e", label, unit, k_e / 100.0, k_e * 10.0, choice.k_e or k_e, True))
-        return found
+            sliders.append(Slider("k_e", label, unit, k_e / 100.0, k_e * 10.0, choice.k_e or k_e, True))
+        return sliders
 
     @cached_property
     def laws(self) -> list[dict[str, str]]:
-        """The laws that this scene can have, its own first where it has no name among them: name and sentence."""
+        """Name and sentence of each law that this scene can have; a law of its own, without a known name, is first."""
         from teleop.scene.catalogue import names
 
-        said, found = names()["laws"], []
-        own = law_name(self.first.laws[0])
-        for name in [*([own] if own not in said else []), *sorted(known_laws())]:
+        sentences, laws = names()["laws"], []
+        first = law_name(self.first.laws[0])
+        for name in [*([first] if first not in sentences else []), *sorted(known_laws())]:
             try:
-                if name != own:
+                if name != first:
                     self.scene(Choice(law=name))
             except Refused:  # a one-port law, or one that asks for more than the scene has
                 continue
-            found.append({"name": name, "says": said.get(name, "the scene's own")})
-        return found
+            laws.append({"name": name, "says": sentences.get(name, "the scene's own")})
+        return laws
 
     def hello(self, choice: Choice, scene: Scene) -> dict[str, Any]:
-        """What the page has to know of the scene of a choice."""
+        """Message that describes the scene of a choice to the page."""
         describe = import_bundled("channel.link").describe
         return {
             "type": "hello", "scene": self.name, "axes": scene.axes, "dt": scene.dt, "laws": self.laws,
@@ -169,7 +171,7 @@ class Controls:
 
     @cached_property
     def spans(self) -> list[float]:
-        """How much of each axis is worth showing, m or rad: its wall, its own motion, and room beside them."""
+        """Span of each axis to show, m or rad: its wall, its own motion, and room beside them."""
         scene = self._short
         reference: Any = scene.reference
         paths = () if reference is None else reference.samples(scene.axes, scene.ticks, scene.dt_ns)
@@ -191,25 +193,25 @@ def most_forces(scene: Scene) -> list[float | None]:
 
 
 def _wall(scene: Scene, i: int = 0) -> float | None:
-    """Where the surface is that the slave meets on an axis, m; None: there is none, or one on both sides."""
+    """Position of the surface that the slave meets on an axis, m; None: no surface, or one on both sides."""
     environment: Any = scene.environments[i] if scene.environments else None
     still = getattr(environment, "environment", environment)
     return float(still.at) if hasattr(still, "side") else None
 
 
-REST = 0.2  # s between two turns
+REST = 0.2  # s between two switches
 PATIENCE = 8.0  # s for all to answer: a hand that is aligned takes its time
-NAMES = frozenset({"channel", "slave", "master"})
+PROCESSES = frozenset({"channel", "slave", "master"})
 
 
-class Turn(NamedTuple):
-    """What the three are told. `again`: from the scene's start."""
+class SwitchRequest(NamedTuple):
+    """Order to the three processes to go on with another choice. `again`: from the scene's start."""
 
     choice: Choice
     again: bool
 
 
-class Turns:
+class SwitchQueue:
     """Queue of switches: one at a time, and of those asked for meanwhile the newest. Times are in s.
 
     Both ends answer a switch with `turned`, the channel too; 0.2 s after all have, the next may go. Without an answer,
@@ -219,27 +221,27 @@ class Turns:
 
     def __init__(self, choice: Choice) -> None:
         self.choice = choice
-        self.under_way: Turn | None = None
-        self._before = choice  # what they ran with before the turn that is under way
-        self._waiting: Turn | None = None
+        self.under_way: SwitchRequest | None = None
+        self._before = choice  # their choice before the switch that is under way
+        self._waiting: SwitchRequest | None = None
         self._answers: set[str] = set()
-        self._since = float("-inf")  # when the turn began, or was over
+        self._since = float("-inf")  # time at which the switch began, or was over
 
     @property
     def wanted(self) -> Choice:
-        """What has been asked for last."""
+        """The newest choice that was requested."""
         return self.choice if self._waiting is None else self._waiting.choice
 
     def ask(self, choice: Choice, *, again: bool = False, align: bool = False) -> None:
-        """Ask for a turn; that it is to begin again is not forgotten over a later one.
+        """Request a switch; a restart that waits already is kept with a later request.
 
-        `align`: turn though nothing is another, for the master to be brought to the slave.
+        `align`: switch even to the same choice, so that the master is brought to the slave.
         """
         again = again or (self._waiting is not None and self._waiting.again)
-        self._waiting = Turn(choice, again) if again or align or choice != self.choice else None
+        self._waiting = SwitchRequest(choice, again) if again or align or choice != self.choice else None
 
-    def next(self, now: float) -> Turn | None:
-        """The turn that is to be told now, if there is one; it is under way from then on."""
+    def next(self, now: float) -> SwitchRequest | None:
+        """Return the switch to order now, if there is one; it is under way from then on."""
         if self.under_way is not None or self._waiting is None or now - self._since < REST:
             return None
         self.under_way, self._waiting = self._waiting, None
@@ -247,36 +249,36 @@ class Turns:
         self._answers, self._since = set(), now
         return self.under_way
 
-    def answered(self, name: str, now: float) -> Turn | None:
-        """One of the three has turned; the turn, if it was the last of them."""
+    def take_answer(self, name: str, now: float) -> SwitchRequest | None:
+        """Note that a process has switched; return the switch if it was the last of the three."""
         self._answers.add(name)
-        if self.under_way is None or not self._answers >= NAMES:
+        if self.under_way is None or not self._answers >= PROCESSES:
             return None
         done, self.under_way, self._since = self.under_way, None, now
         return done
 
     def late(self, now: float) -> bool:
-        """True if a turn has been under way for too long."""
+        """True if a switch has been under way for too long."""
         return self.under_way is not None and now - self._since > PATIENCE
 
     def give_up(self) -> None:
-        """The turn that is under way has failed; the choice is that of before."""
+        """Drop the switch under way, which has failed, and go back to the choice before it."""
         self.under_way, self.choice = None, self._before
 
-    def begin(self, now: float) -> None:
-        """All three were started anew, with what has been asked for last."""
+    def restart(self, now: float) -> None:
+        """Begin anew with the newest choice, as all three processes do."""
         self.choice, self._waiting, self.under_way, self._since = self.wanted, None, None, now
 
 
 HOLDS = 1.0  # s
 
-Place = tuple[float, ...]  # m, per axis
+Position = tuple[float, ...]  # m, per axis
 
 
 class _Pointer(NamedTuple):
-    to: Place
-    moved: float  # when it came to another place, s
-    heard: float  # when its page said so last, s
+    to: Position
+    moved: float  # time at which it came to another position, s
+    heard: float  # time of its page's last message, s
 
 
 class Drag:
@@ -289,18 +291,18 @@ class Drag:
     def __init__(self) -> None:
         self._pointers: dict[Hashable, _Pointer] = {}
 
-    def move(self, page: Hashable, to: Place, now: float) -> None:
-        """The pointer of `page` is at `to`, at the time `now` (s)."""
+    def move(self, page: Hashable, to: Position, now: float) -> None:
+        """Note that the pointer of `page` is at `to`, at the time `now` (s)."""
         before = self._pointers.get(page)
         same = before is not None and before.to == to
         self._pointers[page] = _Pointer(to, before.moved if before is not None and same else now, now)
 
     def let_go(self, page: Hashable) -> None:
-        """The pointer of `page` is up."""
+        """Forget the pointer of `page`, which is up."""
         self._pointers.pop(page, None)
 
-    def target(self, now: float) -> Place | None:
-        """Where the hand is to go; None: nobody drags."""
+    def target(self, now: float) -> Position | None:
+        """Target of the hand; None: nobody drags."""
         for page, pointer in list(self._pointers.items()):
             if now - pointer.heard > HOLDS:
                 del self._pointers[page]
@@ -322,50 +324,52 @@ class Clutch:
         self._axes = scene.axes
         self._held: set[Hashable] = set()
         self._offset = (0.0,) * scene.axes  # m, of the master
-        self._turning = False  # the next session is that of a turn, which keeps the offset
-        self._met: float | None = None  # the tick at which a session began whose offset is not known yet
+        self._switching = False  # the next session begins after a switch, which keeps the offset
+        self._begins: float | None = None  # first tick of a session whose offset is not known yet
 
     def hold(self, page: Hashable, *, held: bool) -> None:
-        """A page holds it, or lets it go; it is open while any does."""
+        """Note that a page holds it, or lets it go; it is open while any page holds it."""
         if held:
             self._held.add(page)
         else:
             self._held.discard(page)
 
-    def changes(self) -> bool:
-        """True if the ends have to be told that it `is_open`, or no longer is."""
+    def update(self) -> bool:
+        """Update `is_open`; True if it has changed, so that the ends need an order."""
         changed = self.is_open != bool(self._held)
         self.is_open = bool(self._held)
         return changed
 
-    def turned(self, *, again: bool) -> None:
-        """The ends are told to turn; `again`: and to go back to the scene's start."""
-        self._turning = not again
+    def expect_switch(self, *, again: bool) -> None:
+        """Keep the offset over the switch that was ordered, unless it goes back to the scene's start (`again`)."""
+        self._switching = not again
 
-    def met(self, k: float) -> None:
-        """The master has begun a session at tick k."""
-        self._met, self._turning = None if self._turning else k, False
+    def begin_session(self, k: float) -> None:
+        """Note that the master has begun a session at tick k."""
+        self._begins, self._switching = None if self._switching else k, False
 
-    def measure(self, followers: Mapping[str, Follower]) -> None:
-        """Take the offset as soon as the records have come to the session's begin."""
-        if self._met is None or any(not each.newest or each.newest[-1][0] < self._met for each in followers.values()):
+    def measure(self, tails: Mapping[str, RecordTail]) -> None:
+        """Measure the offset as soon as the records have come to the begin of the session."""
+        begins = self._begins
+        if begins is None or any(not tail.newest or tail.newest[-1][0] < begins for tail in tails.values()):
             return
-        places = self._places(followers, self._met)
-        self._met = None
-        if places is not None:
-            self._offset = tuple(a - b for a, b in zip(*places, strict=True))
+        positions = self._positions(tails, begins)
+        self._begins = None
+        if positions is not None:
+            self._offset = tuple(a - b for a, b in zip(*positions, strict=True))
 
-    def aligned(self, followers: Mapping[str, Follower]) -> list[float] | None:
-        """Where the master (m, per axis) is to be for the hand to feel what the slave touches; None: not known."""
-        places = self._places(followers, float("inf"))
-        return None if places is None else [x + offset for x, offset in zip(places[1], self._offset, strict=True)]
+    def aligned_position(self, tails: Mapping[str, RecordTail]) -> list[float] | None:
+        """Position of the master (m, per axis) at which the hand feels the slave's contact; None: not known."""
+        positions = self._positions(tails, float("inf"))
+        return None if positions is None else [x + offset for x, offset in zip(positions[1], self._offset, strict=True)]
 
-    def _places(self, followers: Mapping[str, Follower], k: float) -> tuple[Place, Place] | None:
-        """Of master and slave at tick k, in the master's metres."""
-        found = []
-        for e, own in (("m", (1.0,) * self._axes), ("s", self._scales)):
-            row = followers[e].at(k) if e in followers else None
+    def _positions(self, tails: Mapping[str, RecordTail], k: float) -> tuple[Position, Position] | None:
+        """Positions of master and slave at tick k, in the master's metres."""
+        positions = []
+        for e, scales_x in (("m", (1.0,) * self._axes), ("s", self._scales)):
+            row = tails[e].at(k) if e in tails else None
             if row is None:
                 return None
-            found.append(tuple(x / scale for x, scale in zip(row[followers[e].places[f"x_{e}"]], own, strict=True)))
-        return found[0], found[1]
+            columns = tails[e].slices[f"x_{e}"]
+            positions.append(tuple(x / scale for x, scale in zip(row[columns], scales_x, strict=True)))
+        return positions[0], positions[1]

@@ -1,4 +1,4 @@
-"""The page's own process: parent of slave, channel and master, which it shows, turns and starts anew."""
+"""The page's own process: parent of slave, channel and master, which it shows, switches and starts anew."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from contextlib import suppress
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.live.page.controls import Choice, Clutch, Controls, Drag, Turn, Turns, most_forces
-from teleop.live.page.rows import Follower, Hand, Rows, Shaking
-from teleop.live.page.server import Clients, Requests, place, said
-from teleop.live.page.session import Children, Parts, Start
+from teleop.live.page.controls import Choice, Clutch, Controls, Drag, SwitchQueue, SwitchRequest, most_forces
+from teleop.live.page.rows import HandReference, RecordTail, RowMessages, Shaking
+from teleop.live.page.server import Clients, Requests, hand_position, sentence_message
+from teleop.live.page.session import Children, PageParts, Start
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.reader import Row
@@ -20,50 +20,50 @@ from teleop.protocol.session import OVER
 from teleop.storage.strict_json import Misshapen, json_text
 
 PERIOD = 1.0 / 60.0  # s between two pictures, and two orders to the hand, at least
-STATUS = 0.25  # s between two words on how the link is
-SILENT = 1.0  # s without a row, and an end is said to be lost, though its process lives
-SOON = 5.0  # s after it was started anew: what is lost again then waits for a person
+STATUS = 0.25  # s between two messages on the link's state
+SILENT = 1.0  # s without a row, and an end is reported as lost, though its process lives
+SOON = 5.0  # s after a process was started anew: if it is lost again by then, a person has to start it
 ENDS = ("slave", "master")
-OURS = ("a turn", "a new session", "the clutch is open", "the master asks for another")
-"""Why an end is safe that is no news here, whether it was told itself or heard it of the other end."""
+EXPECTED = ("a turn", "a new session", "the clutch is open", "the master asks for another")
+"""Causes of a safe state that are no news here, whether the end had the order itself or its peer reports it."""
 
 
 class Page:
-    """`controls`: the scene; `parts`: where its parts go; `start`: how the three are started; `now`: the clock, s."""
+    """Session of the page. `parts`: folder for its parts; `start`: options of the processes; `now`: the clock, s."""
 
-    def __init__(self, controls: Controls, parts: Parts, start: Start, interrupt: Interrupt,
+    def __init__(self, controls: Controls, parts: PageParts, start: Start, interrupt: Interrupt,
                  now: Callable[[], float]) -> None:
         self._controls, self._parts, self._interrupt, self._now = controls, parts, interrupt, now
         self._scene = controls.first
-        self._turns, self._drag, self._clutch = Turns(Choice()), Drag(), Clutch(self._scene)
-        self._rows, self._shaking = Rows(self._scene.dt), self._shaking_of()
-        self._children = Children(start, self._hear, self._ended)
-        self._followers: dict[str, Follower] = {}
-        self._next: dict[str, Follower] = {}  # of the part that begins
-        self._hand: Hand | None = None  # where its reference is
-        self._aligns = False  # is the master being brought to the slave
+        self._switches, self._drag, self._clutch = SwitchQueue(Choice()), Drag(), Clutch(self._scene)
+        self._rows, self._shaking = RowMessages(self._scene.dt), self._shaking_of()
+        self._children = Children(start, self._hear, self._lose)
+        self._tails: dict[str, RecordTail] = {}
+        self._next_tails: dict[str, RecordTail] = {}  # of the part that begins
+        self._hand: HandReference | None = None
+        self._aligns = False  # the master is being brought to the slave
         self._unreadable: set[str] = set()  # ends whose record is damaged
         self._live: dict[str, dict[str, Any]] = {}
-        self._safe: set[str] = set()  # ends of which it was said that their force goes to zero
-        self._sent: tuple[float, ...] | None = None  # where the hand was told to go
+        self._safe: set[str] = set()  # ends whose force was reported to go to zero
+        self._hand_order: tuple[float, ...] | None = None  # last target of the hand that was ordered
         self._lost: dict[str, str] = {}  # processes that have ended, and why
-        self._silent: str | None = None  # an end whose process lives and says nothing
-        self._heard: dict[str, float] = {}  # when the last row of each end came
-        self._mended = float("-inf")  # when something was started anew
-        self._mending: asyncio.Task[None] | None = None
+        self._silent: str | None = None  # an end whose process lives and sends nothing
+        self._heard_at: dict[str, float] = {}  # time of the last row of each end
+        self._restarted_at = float("-inf")  # time at which a process was started anew
+        self._restarting: asyncio.Task[None] | None = None
         self._began: float | None = None  # the time of tick 0, on the page's own clock
         self._since = now()
-        self._told = float("-inf")  # when the status was told
-        self._refused: dict[str, float] = {}  # when the system refused something last, by its reason
+        self._status_at = float("-inf")  # time of the last status
+        self._refused_at: dict[str, float] = {}  # time of the system's last refusal, by its reason
         self.clients: Clients | None = None
 
     async def run(self, requests: Requests, port: int, listening: Callable[[int], None]) -> None:
-        """Serve until a signal comes; `listening` is told the port. Raises `Refused`."""
-        asyncio.get_running_loop().set_exception_handler(self._raised)
+        """Serve until a signal comes; `listening` is called with the port. Raises `Refused`."""
+        asyncio.get_running_loop().set_exception_handler(self._take_exception)
         self.clients = Clients(requests, self, self._now)
         listening(await self.clients.serve(port))
         try:
-            begin = self._mending = asyncio.create_task(self._start("start"))
+            begin = self._restarting = asyncio.create_task(self._start("start"))
             due = self._now()
             while self._interrupt.name is None:
                 if begin.done():
@@ -71,32 +71,32 @@ class Page:
                 try:
                     self._step(self._now())
                 except OSError as error:
-                    self._short(error)
+                    self._report_refusal(error)
                 due = max(due + PERIOD, self._now())
                 await asyncio.sleep(due - self._now())
         finally:
             await self._leave()
 
-    def _short(self, error: OSError) -> None:
-        """Say once what the system does not give now, as files; the next step asks again."""
+    def _report_refusal(self, error: OSError) -> None:
+        """Report once that the system refuses something, as a file; the next step tries again."""
         what, now = error.strerror or str(error), self._now()
-        last, self._refused[what] = self._refused.get(what, float("-inf")), now
+        last, self._refused_at[what] = self._refused_at.get(what, float("-inf")), now
         if now - last > SOON:
             self._tell("warn", f"the system refused something to the page ({what}); it goes on, and tries again")
 
-    def _raised(self, loop: asyncio.AbstractEventLoop, about: dict[str, Any]) -> None:
-        """Take what was raised where nobody waits for it, as by a connection that cannot be accepted."""
+    def _take_exception(self, loop: asyncio.AbstractEventLoop, about: dict[str, Any]) -> None:
+        """Take an exception for which nobody waits, as of a connection that cannot be accepted."""
         if isinstance(error := about.get("exception"), OSError):
-            self._short(error)
+            self._report_refusal(error)
         else:
             loop.default_exception_handler(about)
 
     async def _leave(self) -> None:
-        """Everything in order: the pages are told, the three leave."""
+        """End in order: tell the pages, and have the three processes leave."""
         self._tell("info", "the page has ended: it was stopped where it was started")
-        if self._mending is not None:
-            self._mending.cancel()
-            await asyncio.wait([self._mending])
+        if self._restarting is not None:
+            self._restarting.cancel()
+            await asyncio.wait([self._restarting])
         leaving = asyncio.create_task(self._children.stop())
         passed = 1
         while not leaving.done():
@@ -106,15 +106,15 @@ class Page:
                 self._children.interrupt(str(self._interrupt.name))
         assert self.clients is not None
         await self.clients.close("the page was stopped where it was started")
-        for follower in [*self._followers.values(), *self._next.values()]:
-            follower.close()
+        for tail in [*self._tails.values(), *self._next_tails.values()]:
+            tail.close()
         if self._hand is not None:
             self._hand.close()
 
-    # what the pages say
+    # messages of the pages
 
     def greeting(self) -> list[str]:
-        """The messages for a page that has just been opened."""
+        """Write the messages for a page that has just been opened."""
         return [self._hello(), self._status(), self._rows.past_message()]
 
     def hear(self, page: Hashable, message: dict[str, Any]) -> None:
@@ -123,18 +123,18 @@ class Page:
         if kind == "hand" and message["to"] is None:
             self._drag.let_go(page)
         elif kind == "hand":
-            self._drag.move(page, place(message["to"], self._scene.axes), self._now())
+            self._drag.move(page, hand_position(message["to"], self._scene.axes), self._now())
         elif kind == "clutch":
             self._clutch.hold(page, held=message["open"])
         elif kind == "turn":
-            self._turns.ask(self._controls.chosen(self._turns.wanted, message))
+            self._switches.ask(self._controls.chosen(self._switches.wanted, message))
         else:
-            self._turns.ask(self._turns.wanted, again=True)
-        if kind in ("turn", "again") and self._lost and self._mending is None:
-            self._mend()
+            self._switches.ask(self._switches.wanted, again=True)
+        if kind in ("turn", "again") and self._lost and self._restarting is None:
+            self._restart()
 
-    def gone(self, page: Hashable) -> None:
-        """A page has been closed; of its pointer the rest is silence, see `teleop.live.page.controls`."""
+    def forget(self, page: Hashable) -> None:
+        """Forget a page that was closed; its pointer lets go by its silence, see `Drag`."""
         self._clutch.hold(page, held=False)
 
     # sixty times a second
@@ -142,53 +142,53 @@ class Page:
     def _step(self, now: float) -> None:
         self._show(now)
         self._steer(now)
-        if self._children.complete and self._mending is None:
-            self._turn(now)
-        if now - self._told >= STATUS:
-            self._told = now
+        if self._children.complete and self._restarting is None:
+            self._update_ends(now)
+        if now - self._status_at >= STATUS:
+            self._status_at = now
             self._watch(now)
             if self.clients is not None:
                 self.clients.show(self._status())
 
     def _show(self, now: float) -> None:
-        """Show what has come of the records."""
+        """Show the new rows of the records."""
         new: dict[str, list[Row]] = {}
         for e in NAMES:
             new[e] = self._read(e)
             if new[e]:
-                self._heard[e] = now
+                self._heard_at[e] = now
         if not any(new.values()):
             return
         if self._began is None:
             if not new["m"]:
                 return
             self._began = now - self._since - new["m"][-1][0] * self._scene.dt
-        t = self._began + max(each.newest[-1][0] for each in self._followers.values()
+        t = self._began + max(each.newest[-1][0] for each in self._tails.values()
                                        if each.newest) * self._scene.dt
         self._rows.gain.update({e: numbers["gain"] for e, numbers in self._live.items() if "gain" in numbers})
-        shown = self._rows.message(t, self._followers, new, None if self._hand is None else self._hand.newest())
+        shown = self._rows.message(t, self._tails, new, None if self._hand is None else self._hand.newest())
         if shown is None or self.clients is None:
             return
         self.clients.show(shown.text)
-        self._clutch.measure(self._followers)
+        self._clutch.measure(self._tails)
         self._align()
         if (sentence := self._shaking.sentence(now, shown.forces)) is not None:
             self._tell("warn" if self._shaking.shakes else "info", sentence)
 
     def _read(self, e: str) -> list[Row]:
-        """The new rows of an end; of the part that begins, as soon as it has some."""
+        """Read the new rows of an end; those of the part that begins, as soon as it has some."""
         if e in self._unreadable:
             return []
         try:
-            if e in self._next and (rows := self._next[e].read()):
-                self._followers[e].close()
-                self._followers[e] = self._next.pop(e)
+            if e in self._next_tails and (rows := self._next_tails[e].read()):
+                self._tails[e].close()
+                self._tails[e] = self._next_tails.pop(e)
                 if e == "m":
                     self._follow_hand()
                 return rows
-            return self._followers[e].read() if e in self._followers else []
+            return self._tails[e].read() if e in self._tails else []
         except OSError as error:
-            self._short(error)
+            self._report_refusal(error)
         except Misshapen as error:
             self._unreadable.add(e)
             self._tell("error", f"the record of the {NAMES[e]} cannot be shown: {error}")
@@ -197,61 +197,61 @@ class Page:
     def _follow_hand(self) -> None:
         if self._hand is not None:
             self._hand.close()
-        self._hand = Hand(self._followers["m"].folder)
+        self._hand = HandReference(self._tails["m"].folder)
 
     def _steer(self, now: float) -> None:
-        """Tell the master where the hand is to go, if that has changed."""
+        """Order the master to move the hand, if its target has changed."""
         to = self._drag.target(now)
-        if to == self._sent:
+        if to == self._hand_order:
             return
-        self._shaking.moved()
-        self._sent = to
+        self._shaking.note_motion()
+        self._hand_order = to
         self._children.order({"order": "hand", "to": None if to is None else list(to)}, "master")
 
-    def _turn(self, now: float) -> None:
-        """Open or close the clutch; begin the turn that is next, unless the clutch is open."""
-        if self._turns.under_way is None and self._clutch.changes():
+    def _update_ends(self, now: float) -> None:
+        """Open or close the clutch; begin the next switch, unless the clutch is open."""
+        if self._switches.under_way is None and self._clutch.update():
             self._children.order({"order": "clutch", "open": self._clutch.is_open}, *ENDS)
-            self._shaking.moved()
-        if self._turns.late(now):
-            self._fail("the three did not all turn in time")
-        elif not self._clutch.is_open and (turn := self._turns.next(now)) is not None:
-            self._begin_turn(turn)
+            self._shaking.note_motion()
+        if self._switches.late(now):
+            self._fail("the three did not all switch in time")
+        elif not self._clutch.is_open and (switch := self._switches.next(now)) is not None:
+            self._begin_switch(switch)
 
-    def _begin_turn(self, turn: Turn) -> None:
-        try:  # what cannot be made is refused before any end is told
-            knobs, scene = self._controls.knobs(turn.choice), self._controls.scene(turn.choice)
+    def _begin_switch(self, switch: SwitchRequest) -> None:
+        try:  # a choice without a scene is refused before any end has an order
+            knobs, scene = self._controls.knobs(switch.choice), self._controls.scene(switch.choice)
         except (Refused, OSError) as refused:
-            self._turns.give_up()
+            self._switches.give_up()
             self._tell("error", str(refused))
             return
-        newest = self._followers["m"].newest if "m" in self._followers else None
+        newest = self._tails["m"].newest if "m" in self._tails else None
         try:
-            folders = self._parts.begin(knobs, int(newest[-1][0]) if newest else 0, "again" if turn.again else "turn")
+            folders = self._parts.begin(knobs, int(newest[-1][0]) if newest else 0, "again" if switch.again else "turn")
         except OSError as error:
-            self._turns.give_up()
-            self._tell("error", f"not turned, since nothing more can be written ({error.strerror or error}); free some "
-                                "space, and turn again")
+            self._switches.give_up()
+            self._tell("error", f"not switched, since nothing more can be written ({error.strerror or error}); free "
+                                "some space, and switch again")
             if self.clients is not None:
                 self.clients.tell(self._hello())  # a slider that was moved goes back
             return
         self._scene = scene
-        align = None if turn.again else self._clutch.aligned(self._followers)
+        align = None if switch.again else self._clutch.aligned_position(self._tails)
         self._aligns = align is not None
-        self._clutch.turned(again=turn.again)
+        self._clutch.expect_switch(again=switch.again)
         self._children.order({"order": "turn", "knobs": knobs}, "channel")
         for e, name in NAMES.items():
-            self._next[e] = Follower(folders[e])
-            self._children.order({"order": "turn", "knobs": knobs, "out": str(folders[e]), "again": turn.again,
+            self._next_tails[e] = RecordTail(folders[e])
+            self._children.order({"order": "turn", "knobs": knobs, "out": str(folders[e]), "again": switch.again,
                                   "align": align if e == "m" else None}, name)
-        self._shaking.moved()
+        self._shaking.note_motion()
 
     def _align(self) -> None:
-        """Tell a master that is being brought to the slave where that is by now: without force it moves on."""
-        if self._aligns and (to := self._clutch.aligned(self._followers)) is not None:
+        """Send a master that is being brought to the slave its new position: without force the slave moves on."""
+        if self._aligns and (to := self._clutch.aligned_position(self._tails)) is not None:
             self._children.order({"order": "align", "to": to}, "master")
 
-    # what the three say
+    # events of the three processes
 
     def _hear(self, name: str, event: dict[str, Any]) -> None:
         """Take an event of one of the three."""
@@ -260,75 +260,75 @@ class Page:
             self._live[event["end"]] = event
         elif kind == "turned":
             if name == "master":
-                with suppress(OSError):  # the index then has the tick at which the turn was asked for
-                    self._parts.began(int(event["k"]))
-            self._answered(name)
+                with suppress(OSError):  # the index then has the tick of the request
+                    self._parts.correct_start(int(event["k"]))
+            self._take_answer(name)
         elif kind == "refused":
-            if self._turns.under_way is None:
+            if self._switches.under_way is None:
                 self._tell("error", f"the {name}: {event['sentence']}")
             else:
-                self._fail(f"the {name} does not turn: {event['sentence']}")
+                self._fail(f"the {name} does not switch: {event['sentence']}")
         elif kind == "event":
             self._happened(name, event)
 
-    def _answered(self, name: str) -> None:
-        """One of the three has turned; when all have, say so."""
-        if (turn := self._turns.answered(name, self._now())) is not None:
-            self._shaking = self._shaking_of()  # of what begins: another law that shakes is told of again
-            self._tell("info", self._turned(turn))
-            self._sent = None  # a hand that is back at the start is told again where to go
+    def _take_answer(self, name: str) -> None:
+        """Note that a process has switched; report it when all have."""
+        if (switch := self._switches.take_answer(name, self._now())) is not None:
+            self._shaking = self._shaking_of()  # for the new part: another law that shakes is reported again
+            self._tell("info", self._describe_switch(switch))
+            self._hand_order = None  # a hand that is back at the start needs its target again
             if self.clients is not None:
                 self.clients.tell(self._hello())
 
     def _happened(self, name: str, event: dict[str, Any]) -> None:
-        """Something that an end's own record tells too."""
+        """Take an event that the end's own record has too."""
         what = event["what"]
         if what == "met" and name == "master":
             self._aligns = False
-            self._clutch.met(event["k"])
-        if what == "safe" and event["why"].removeprefix(f"{OVER}: ") not in OURS and not self._lost:
+            self._clutch.begin_session(event["k"])
+        if what == "safe" and event["why"].removeprefix(f"{OVER}: ") not in EXPECTED and not self._lost:
             self._safe.add(name)
             self._tell("warn", f"the {name}: the force is on its way to zero, {event['why']}")
         elif what == "released" and name in self._safe:
             self._safe.discard(name)
             self._tell("info", f"the {name}: the force is back, {event['why']}")
 
-    def _turned(self, turn: Turn) -> str:
-        hello = self._controls.hello(turn.choice, self._scene)
-        begins = "started again" if turn.again else "turned"
-        return f"{begins}: law {hello['law']}, {hello['link']}"
+    def _describe_switch(self, switch: SwitchRequest) -> str:
+        hello = self._controls.hello(switch.choice, self._scene)
+        done = "started again" if switch.again else "switched"
+        return f"{done}: law {hello['law']}, {hello['link']}"
 
     # lost, and back
 
-    def _ended(self, name: str, sentence: str) -> None:
-        """One of the three has ended."""
+    def _lose(self, name: str, sentence: str) -> None:
+        """Note that a process has ended by itself, and start it anew."""
         self._lost[name] = sentence
-        self._clutch.turned(again=False)  # the session that heals the run is no clutch's: a turn follows it
-        only_just = self._now() - self._mended < SOON
+        self._clutch.expect_switch(again=False)  # a switch follows the next session, which is not the clutch's
+        only_just = self._now() - self._restarted_at < SOON
         self._tell("error", f"the {name} is lost: {sentence}{'; press start again' * only_just}")
-        if not only_just and self._mending is None:
-            self._mend()
+        if not only_just and self._restarting is None:
+            self._restart()
 
     def _fail(self, why: str) -> None:
-        """A turn that failed: the three no longer agree, and are started anew as they were."""
-        self._turns.give_up()
+        """Give up a switch: the three no longer agree, and are started anew as they were."""
+        self._switches.give_up()
         self._tell("error", f"{why}; the three are started anew as they were")
         self._lost["master"] = why
-        self._mend()
+        self._restart()
 
-    def _mend(self) -> None:
-        self._mending = asyncio.create_task(self._start_anew())
+    def _restart(self) -> None:
+        self._restarting = asyncio.create_task(self._start_lost())
 
-    async def _start_anew(self) -> None:
-        """Start what was lost, the channel alone at its port, or all three as a part of its own."""
+    async def _start_lost(self) -> None:
+        """Start the lost processes: the channel alone at its port, or all three as a new part."""
         try:
             if set(self._lost) == {"channel"}:
-                await self._children.start_channel(self._controls.knobs(self._turns.choice))
-                self._mended = self._now()
+                await self._children.start_channel(self._controls.knobs(self._switches.choice))
+                self._restarted_at = self._now()
                 self._lost.pop("channel")
-                self._answered("channel")  # to a turn that it did not live to see
+                self._take_answer("channel")  # to a switch that it did not live to see
                 # Without a force the hand has slid on, and a wall that was pressed would no longer be felt.
-                self._turns.ask(self._turns.wanted, align=True)
+                self._switches.ask(self._switches.wanted, align=True)
                 self._tell("info", "the channel is back")
             else:
                 await self._children.stop()
@@ -337,63 +337,63 @@ class Page:
         except (Refused, OSError) as error:
             self._tell("error", f"it cannot be started: {error}; press start again")
         finally:
-            self._mending = None
-        if self._lost and self._now() - self._mended < SOON:
+            self._restarting = None
+        if self._lost and self._now() - self._restarted_at < SOON:
             return
         if self._lost:
-            self._mend()
+            self._restart()
 
     async def _start(self, why: str) -> None:
-        """Start all three, as a part of its own."""
-        self._turns.begin(self._now())
-        self._scene = self._controls.scene(self._turns.choice)
-        knobs = self._controls.knobs(self._turns.choice)
+        """Start all three processes, as a new part."""
+        self._switches.restart(self._now())
+        self._scene = self._controls.scene(self._switches.choice)
+        knobs = self._controls.knobs(self._switches.choice)
         folders = self._parts.begin(knobs, 0, why)
-        for follower in [*self._followers.values(), *self._next.values()]:
-            follower.close()
-        self._followers, self._next = {e: Follower(folders[e]) for e in NAMES}, {}
+        for tail in [*self._tails.values(), *self._next_tails.values()]:
+            tail.close()
+        self._tails, self._next_tails = {e: RecordTail(folders[e]) for e in NAMES}, {}
         self._follow_hand()
-        self._live, self._heard, self._safe, self._unreadable = {}, {}, set(), set()
+        self._live, self._heard_at, self._safe, self._unreadable = {}, {}, set(), set()
         self._began = None
         self._aligns = False
         self._clutch, self._shaking = Clutch(self._scene), self._shaking_of()
         try:
             await self._children.start(knobs, folders)
         finally:
-            if why != "start":  # what is lost just after the first start is mended like any other
-                self._mended = self._now()
-            self._mending = None
-            self._sent = None  # what was told meanwhile has reached nobody
+            if why != "start":  # a process that is lost just after the first start is started anew like any other
+                self._restarted_at = self._now()
+            self._restarting = None
+            self._hand_order = None  # orders meanwhile have reached nobody
         self._lost = {}
         if self.clients is not None:
             self.clients.tell(self._hello())
 
     def _watch(self, now: float) -> None:
-        """Say it when an end stands still though its process lives, and when it goes on."""
-        silent = next((NAMES[e] for e, at in self._heard.items() if now - at > SILENT), None)
-        if self._lost or self._mending is not None:
+        """Report it when an end stands still though its process lives, and when it goes on."""
+        silent = next((NAMES[e] for e, at in self._heard_at.items() if now - at > SILENT), None)
+        if self._lost or self._restarting is not None:
             silent = None
         if silent != self._silent:
             self._tell(*(("info", f"the {self._silent} goes on") if silent is None
                          else ("warn", f"the {silent} stands still: nothing has come of it for {SILENT:g} s")))
         self._silent = silent
 
-    # in words
+    # messages to the pages
 
     def _shaking_of(self) -> Shaking:
         return Shaking(most_forces(self._scene))
 
     def _tell(self, level: str, sentence: str) -> None:
         if self.clients is not None:
-            self.clients.tell(said(level, sentence))
+            self.clients.tell(sentence_message(level, sentence))
 
     def _hello(self) -> str:
-        return json_text({**self._controls.hello(self._turns.choice, self._scene), "state": self._state()})
+        return json_text({**self._controls.hello(self._switches.choice, self._scene), "state": self._state()})
 
     def _state(self) -> str:
         if self._lost:
             return "lost"
-        return "running" if any(each.newest for each in self._followers.values()) else "starting"
+        return "running" if any(each.newest for each in self._tails.values()) else "starting"
 
     def _status(self) -> str:
         ends = {e: {key: value for key, value in self._live.get(e, {}).items() if key != "event"} for e in NAMES}

@@ -21,8 +21,8 @@ HAND = "hand.bin"
 LONGEST_LINE = 1 << 10  # bytes of its header
 
 
-class Hand:
-    """Where the hand's reference is, m per axis: the last whole row of the master's `hand.bin`, see its package."""
+class HandReference:
+    """Reference of the hand, m per axis: the last whole row of the master's `hand.bin`, see its package."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / HAND
@@ -31,7 +31,7 @@ class Hand:
         self._row = Struct("")
 
     def newest(self) -> Row | None:
-        """That place; None where the master records none, or has not begun to."""
+        """Read the newest position; None where the master records none, or has not begun to."""
         try:
             if self._file is None and not self._begin():
                 return None
@@ -46,7 +46,7 @@ class Hand:
         return row[1:]
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if self._file is not None:
             self._file.close()
         self._file = None
@@ -62,21 +62,21 @@ class Hand:
         return True
 
 
-class Follower(GrowingRecord):
-    """The record in `folder` as it grows, where each column stands in a row of it, and its newest rows."""
+class RecordTail(GrowingRecord):
+    """Record in `folder` as it grows, with its newest rows, and the slice of each column in a row."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.places: dict[str, slice] = {}  # of each column in a row, once there is a header
+        self.slices: dict[str, slice] = {}  # of each column in a row, once there is a header
         self.axes = 0
         self.newest: deque[Row] = deque(maxlen=KEPT)  # oldest first; of one tick each
 
     def read(self) -> list[Row]:
-        """The rows that have come, oldest first. Raises `OSError` or `Misshapen` for what is no record of a run."""
+        """Read the new rows, oldest first. Raises `OSError`, or `Misshapen` for a file that is no record of a run."""
         rows = super().read()
-        if self.header is not None and not self.places:
+        if self.header is not None and not self.slices:
             columns, self.axes = self.header["columns"], self.header["axes"]
-            self.places = {name: slice(columns.index(name), columns.index(name) + columns.count(name))
+            self.slices = {name: slice(columns.index(name), columns.index(name) + columns.count(name))
                            for name in columns}
         self.newest.extend(rows)
         return rows
@@ -94,41 +94,44 @@ _GAIN = {"m": "g_m", "s": "g_s"}
 
 
 class Extremes(NamedTuple):
-    """The least and the greatest of what came since the last message, per axis."""
+    """Least and greatest value since the last message, per axis."""
 
     low: tuple[float, ...]
     high: tuple[float, ...]
 
 
-class Shown(NamedTuple):
-    """One message and what others ask of it: the extremes (N) of the forces, by the end's name, m or s."""
+class RowsMessage(NamedTuple):
+    """Message with new rows, and the extremes (N) of its forces, by the end's name, m or s."""
 
     text: str
     forces: dict[str, Extremes]
 
 
-class Rows:
-    """Makes the messages `rows` and `past`. `dt` in s; `gain`: of an end whose record has no column of it."""
+class RowMessages:
+    """Maker of the messages `rows` and `past`, for all pages, at most sixty times a second.
+
+    `dt` in s; `gain`: the gain of an end whose record has no column of it.
+    """
 
     def __init__(self, dt: float) -> None:
         self.dt = dt
         self.past: deque[str] = deque(maxlen=PAST)
         self.gain: dict[str, float] = {"m": 1.0, "s": 1.0}
 
-    def message(self, t: float, ends: dict[str, Follower], new: dict[str, list[Row]],
-                hand: Sequence[float] | None) -> Shown | None:
-        """What has come of the ends m and s since the last message, at time t (s); None while one has no row yet.
+    def message(self, t: float, ends: dict[str, RecordTail], new: dict[str, list[Row]],
+                hand: Sequence[float] | None) -> RowsMessage | None:
+        """Write the rows of the ends m and s since the last message, at time t (s); None while one has no row yet.
 
-        `hand`: where the hand's reference is, m per axis; None: nobody says.
+        `hand`: the reference of the hand, m per axis; None: not known.
         """
         if not all(each.newest for each in ends.values()):
             return None
         parts, forces, gains = [f'"t":{t:.4f}', f'"hand":{_list(hand)}'], {}, []
-        for e, follower in ends.items():
-            row, places = follower.newest[-1], follower.places
+        for e, tail in ends.items():
+            row, slices = tail.newest[-1], tail.slices
             columns = list(zip(*(new[e] or [row]), strict=True))
             for name in _LAST[e]:
-                at = places.get(name)
+                at = slices.get(name)
                 parts.append(f'"{_SHOWN[name]}":{"null" if at is None else _list(row[at])}')
                 if at is None or name not in _SWINGS:
                     continue
@@ -136,54 +139,55 @@ class Rows:
                 parts.append(f'"{_SHOWN[name]}_lo":{_list(extremes.low)},"{_SHOWN[name]}_hi":{_list(extremes.high)}')
                 if name.startswith("f"):
                     forces[e] = extremes
-            gains.append(_of(row, follower, _GAIN[e], self.gain[e]))
+            gains.append(_first_or(row, tail, _GAIN[e], self.gain[e]))
         energy = _energy(**ends) if all(gains) else None  # without force what an end sends is no session's
         parts += [f'"gain":{_list(gains)}', f'"E":{_number(energy)}', self._link(**ends)]
         text = f'{{"type":"rows",{",".join(parts)}}}'
         self.past.append(text)
-        return Shown(text, forces)
+        return RowsMessage(text, forces)
 
     def past_message(self) -> str:
-        """The messages of the last ten seconds as one."""
+        """Write the messages of the last ten seconds as one."""
         return f'{{"type":"past","rows":[{",".join(self.past)}]}}'
 
-    def _link(self, m: Follower, s: Follower) -> str:
-        """The queues (s, of several axes the longest) and the ages (s) of what is played, forward at the slave and
-        backward at the master.
+    def _link(self, m: RecordTail, s: RecordTail) -> str:
+        """Write queues and ages of the played messages (s), forward at the slave and backward at the master.
+
+        Of several axes the longest queue counts.
         """
         queues, ages = [], []
-        for follower, name in ((s, "queue_s"), (m, "queue_m")):
-            row = follower.newest[-1]
-            queues.append(max(row[follower.places[name]]) if name in follower.places else None)
+        for tail, name in ((s, "queue_s"), (m, "queue_m")):
+            row = tail.newest[-1]
+            queues.append(max(row[tail.slices[name]]) if name in tail.slices else None)
             ages.append((row[0] - row[2]) * self.dt if row[2] >= 0.0 else None)
         return f'"queue":{"null" if None in queues else _list(queues)},"age":{_list(ages)}'
 
 
-def _energy(m: Follower, s: Follower) -> float | None:
-    """What is stored in the link (J), or else taken up at the two ports, at the newest tick that both ends have.
+def _energy(m: RecordTail, s: RecordTail) -> float | None:
+    """Energy stored in the link (J), or else absorbed at the two ports, at the newest tick that both ends have.
 
-    None where the two do not have the same: no ledger, or one of them is turned already and the other is not.
+    None where the two do not have the same columns: without a ledger, or while one end alone has switched.
     """
     common = min(m.newest[-1][0], s.newest[-1][0])
-    ours, theirs = m.at(common), s.at(common)
-    if ours is None or theirs is None:
+    row_m, row_s = m.at(common), s.at(common)
+    if row_m is None or row_s is None:
         return None
-    waves = "E_in_fwd" in m.places, "E_in_bwd" in s.places
+    waves = "E_in_fwd" in m.slices, "E_in_bwd" in s.slices
     if all(waves):
-        stored = _first(ours, m, "E_in_fwd") - _first(theirs, s, "E_out_fwd")
-        return stored + (_first(theirs, s, "E_in_bwd") - _first(ours, m, "E_out_bwd"))
-    if any(waves) or "E_port_m" not in m.places or "E_port_s" not in s.places:
+        stored = _first(row_m, m, "E_in_fwd") - _first(row_s, s, "E_out_fwd")
+        return stored + (_first(row_s, s, "E_in_bwd") - _first(row_m, m, "E_out_bwd"))
+    if any(waves) or "E_port_m" not in m.slices or "E_port_s" not in s.slices:
         return None
-    return _first(ours, m, "E_port_m") - _first(theirs, s, "E_port_s")
+    return _first(row_m, m, "E_port_m") - _first(row_s, s, "E_port_s")
 
 
-def _first(row: Row, follower: Follower, name: str) -> float:
-    at: int = follower.places[name].start
+def _first(row: Row, tail: RecordTail, name: str) -> float:
+    at: int = tail.slices[name].start
     return row[at]
 
 
-def _of(row: Row, follower: Follower, name: str, without: float | None) -> float | None:
-    return _first(row, follower, name) if name in follower.places else without
+def _first_or(row: Row, tail: RecordTail, name: str, default: float | None) -> float | None:
+    return _first(row, tail, name) if name in tail.slices else default
 
 
 def _list(values: Iterable[float | None] | None) -> str:
@@ -191,7 +195,7 @@ def _list(values: Iterable[float | None] | None) -> str:
 
 
 def _number(value: float | None) -> str:
-    """As JSON has it, with the digits that a picture has room for."""
+    """Write a number for JSON, with the digits that a picture has room for."""
     return f"{value:.5g}" if value is not None and isfinite(value) else "null"
 
 
@@ -225,35 +229,35 @@ class Shaking:
         self._since: float | None = None  # when it began
         self._still = 0  # whole seconds in which nobody moved the hand
         self._moved = False  # somebody did in this one
-        self._was = 0.0  # N of swing when it began to shake
+        self._first_swing = 0.0  # N, when it began to shake
         self._calm = 0  # s
 
-    def moved(self) -> None:
-        """Somebody moves the hand now, or the law begins anew."""
+    def note_motion(self) -> None:
+        """Note that somebody moves the hand now, or that the law begins anew."""
         self._moved = True
 
     def sentence(self, now: float, forces: dict[str, Extremes]) -> str | None:
-        """What there is to say after these forces (N) of the ends have come."""
+        """Take the extremes (N) of both ends' forces; return the sentence to report, if there is one."""
         if self._since is None:
             self._since = now
-        said = None
+        sentence = None
         if now - self._since >= 1.0:
-            said = self._second()
+            sentence = self._judge_second()
             self._since, self._now, self._moved = now, {}, False
         for e, (lows, highs) in forces.items():
             for axis, (low, high) in enumerate(zip(lows, highs, strict=True)):
                 least, most = self._now.get((e, axis), (low, high))
                 self._now[e, axis] = min(least, low), max(most, high)
-        return said
+        return sentence
 
-    def _second(self) -> str | None:
-        """Judge by the seconds that are over."""
+    def _judge_second(self) -> str | None:
+        """Judge the seconds that are over; return the sentence to report, if there is one."""
         self._seconds.append(self._now)
         self._still = 0 if self._moved else self._still + 1
         if self.shakes:
-            swing = max((high - low for low, high in (self._over(which, self._span) for which in self._now)),
+            swing = max((high - low for low, high in (self._range(which, self._span) for which in self._now)),
                         default=0.0)
-            self._calm = self._calm + 1 if swing < self._was / 2.0 else 0
+            self._calm = self._calm + 1 if swing < self._first_swing / 2.0 else 0
             self.shakes = self._calm < CALM
             if self.shakes:
                 return None
@@ -262,20 +266,20 @@ class Shaking:
             return "stable again"
         for which in self._now:
             capped = next((span for span in SPANS if self._still >= 2 * span and all(
-                self._comes_to_cap(which[1], self._over(which, span, before)) for before in (0, span))), None)
-            swings = [high - low for low, high in (self._over(which, 1, before) for before in range(SECONDS))][::-1]
+                self._comes_to_cap(which[1], self._range(which, span, before)) for before in (0, span))), None)
+            swings = [high - low for low, high in (self._range(which, 1, before) for before in range(SECONDS))][::-1]
             if capped is not None or (self._still >= SECONDS and _grow(swings)):
                 self.shakes, self._calm, self._span = True, 0, capped or 1
-                low, high = self._over(which, self._span)
-                self._was = high - low
+                low, high = self._range(which, self._span)
+                self._first_swing = high - low
                 how = ("comes to its cap again and again, and the cap holds it" if capped
-                       else f"swings by {self._was:.1f} N, more each second")
+                       else f"swings by {self._first_swing:.1f} N, more each second")
                 return (f"unstable: while nobody moves the hand the force {how}; another law, less delay or a "
                         "softer environment ends it")
         return None
 
-    def _over(self, which: tuple[str, int], span: int, before: int = 0) -> tuple[float, float]:
-        """The least and the greatest force (N) of `span` seconds that ended `before` seconds ago; 0 of none."""
+    def _range(self, which: tuple[str, int], span: int, before: int = 0) -> tuple[float, float]:
+        """Least and greatest force (N) of `span` seconds that ended `before` seconds ago; 0 without any."""
         ends = len(self._seconds) - before
         seconds = [self._seconds[i][which] for i in range(max(0, ends - span), ends) if which in self._seconds[i]]
         return min((low for low, _ in seconds), default=0.0), max((high for _, high in seconds), default=0.0)

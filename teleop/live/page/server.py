@@ -31,8 +31,8 @@ _INLINE = {"script-src": re.compile(rb"<script[^>]*>(.*?)</script>", re.DOTALL),
            "style-src": re.compile(rb"<style[^>]*>(.*?)</style>", re.DOTALL)}
 
 
-class Answer(NamedTuple):
-    """An answer over HTTP."""
+class HttpResponse(NamedTuple):
+    """Response over HTTP."""
 
     status: HTTPStatus
     headers: dict[str, str]
@@ -52,24 +52,24 @@ class Requests:
         self._sources = "; ".join(f"{kind} {' '.join(map(_hash, form.findall(page))) or chr(39) + 'none' + chr(39)}"
                                   for kind, form in _INLINE.items())
 
-    def answer(self, target: str, headers: Mapping[str, str]) -> Answer | None:
-        """The answer to a GET of `target`; None: the socket may be opened. Each name in `headers` has one value."""
+    def answer(self, target: str, headers: Mapping[str, str]) -> HttpResponse | None:
+        """Answer a GET of `target`; None: the socket may be opened. Each name in `headers` has one value."""
         host = headers.get("Host", "")
         if not _HOST.fullmatch(host):
             return _sentence(HTTPStatus.FORBIDDEN, "this page is for this machine alone; open the address that "
                                                    "`teleop demo --page` printed, from elsewhere through ssh -L")
         try:
-            asked = urlsplit(target)
-            given = parse_qs(asked.query, max_num_fields=10).get("token", [""])[-1]
+            url = urlsplit(target)
+            token = parse_qs(url.query, max_num_fields=10).get("token", [""])[-1]
         except ValueError:
             return _sentence(HTTPStatus.BAD_REQUEST, "this is no address; open the one that was printed")
-        if asked.path not in ("/", "/ws"):
+        if url.path not in ("/", "/ws"):
             return _sentence(HTTPStatus.NOT_FOUND, "there is nothing here but the page; open the address printed")
-        if not compare_digest(given.encode(errors="surrogatepass"), self._token):
+        if not compare_digest(token.encode(errors="surrogatepass"), self._token):
             return _sentence(HTTPStatus.FORBIDDEN, "the token is missing, or of another run; open the whole address "
                                                    "that `teleop demo --page` printed")
-        if asked.path == "/":
-            return Answer(HTTPStatus.OK, self._headers(host), self._page)
+        if url.path == "/":
+            return HttpResponse(HTTPStatus.OK, self._headers(host), self._page)
         if headers.get("Origin") != f"http://{host}":
             return _sentence(HTTPStatus.FORBIDDEN, "the socket is for the page that is served here alone")
         if headers.get("Upgrade", "").lower() != "websocket":
@@ -77,8 +77,8 @@ class Requests:
         return None
 
     @staticmethod
-    def of_method() -> Answer:
-        """The answer to a request of another method."""
+    def refuse_method() -> HttpResponse:
+        """Answer a request of another method."""
         answer = _sentence(HTTPStatus.METHOD_NOT_ALLOWED, "the page is there to be read; take GET or HEAD")
         return answer._replace(headers={**answer.headers, "Allow": ", ".join(METHODS)})
 
@@ -93,8 +93,8 @@ _ALWAYS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"
            "Cross-Origin-Resource-Policy": "same-origin"}
 
 
-def _sentence(status: HTTPStatus, sentence: str) -> Answer:
-    return Answer(status, {"Content-Type": "text/plain; charset=utf-8", **_ALWAYS}, f"{sentence}\n".encode())
+def _sentence(status: HTTPStatus, sentence: str) -> HttpResponse:
+    return HttpResponse(status, {"Content-Type": "text/plain; charset=utf-8", **_ALWAYS}, f"{sentence}\n".encode())
 
 
 def _hash(inline: bytes) -> str:
@@ -115,7 +115,7 @@ _NEEDED = {"hand": ("to",), "turn": (), "clutch": ("open",), "again": ()}
 
 
 class Garbage(Misshapen):
-    """No message of a page. `kind`: what is wrong with it, in a word, so that each is told of once."""
+    """Refusal of data that are no message of a page. `kind`: the mistake in a word, so that each is reported once."""
 
     def __init__(self, kind: str, sentence: str) -> None:
         super().__init__(sentence)
@@ -123,36 +123,36 @@ class Garbage(Misshapen):
 
 
 def read(data: str | bytes) -> dict[str, Any]:
-    """The message in `data`. Raises `Garbage`."""
+    """Read the message in `data`. Raises `Garbage`."""
     if isinstance(data, bytes):
         raise Garbage("binary", "a message is a text in JSON, not bytes")
     try:
-        got = parse(data)
+        message = parse(data)
     except Misshapen as error:
         raise Garbage("json", f"a message is an object in JSON: {error}") from None
-    kind = got.get("type") if isinstance(got, dict) else None
+    kind = message.get("type") if isinstance(message, dict) else None
     if not isinstance(kind, str) or kind not in _SHAPES:
         raise Garbage("type", f"a message has a type, one of {', '.join(_SHAPES)}")
     shape = _SHAPES[kind]
-    other = next((key for key in got if key != "type" and key not in shape), None)
-    if other is not None:
-        raise Garbage(kind, f"a message {kind!r} has no {other[:40]!r}; it may have: {', '.join(shape) or 'nothing'}")
+    unknown = next((key for key in message if key != "type" and key not in shape), None)
+    if unknown is not None:
+        raise Garbage(kind, f"a message {kind!r} has no {unknown[:40]!r}; it may have: {', '.join(shape) or 'nothing'}")
     try:
-        record({key: shape[key] for key in _NEEDED[kind]}, shape)(got, "the message")
+        record({key: shape[key] for key in _NEEDED[kind]}, shape)(message, "the message")
     except Misshapen as error:
         raise Garbage(kind, str(error)) from None
-    return got  # type: ignore[no-any-return]  # an object, as its shape says
+    return message  # type: ignore[no-any-return]  # an object, as its shape says
 
 
-def place(to: Sequence[float], axes: int) -> tuple[float, ...]:
-    """A place (m, per axis) that the hand may go to. Raises `Garbage`."""
+def hand_position(to: Sequence[float], axes: int) -> tuple[float, ...]:
+    """Check a position (m, per axis) to which a page moves the hand. Raises `Garbage`."""
     if len(to) != axes or not all(abs(x) <= REACH for x in to):
         raise Garbage("place", f"the hand goes to {number_of(axes, 'number')} in m, each at most {REACH:g} from 0")
     return tuple(map(float, to))
 
 
-def said(level: str, sentence: str) -> str:
-    """A sentence for people; `level`: info, warn or error."""
+def sentence_message(level: str, sentence: str) -> str:
+    """Write the message with a sentence for people; `level`: info, warn or error."""
     return json.dumps({"type": "said", "level": level, "text": sentence})
 
 
@@ -173,7 +173,7 @@ class Allowance:
         self._garbage = 0
 
     def takes(self, now: float) -> bool:
-        """Is there room for one more message?"""
+        """Count a message; True if there is room for it."""
         if self._since is None or now - self._since >= 1.0:
             follows = self._since is not None and now - self._since < 2.0
             self._beyond = self._beyond + 1 if follows and self._count > MOST else 0
@@ -186,12 +186,12 @@ class Allowance:
 
     @property
     def begins(self) -> bool:
-        """True of the first message of a second that there is no room for, where the second before had room for all."""
+        """True at the first message without room in a second, if the second before had room for all."""
         return self._count == MOST + 1 and self._beyond == 0
 
     @property
     def floods(self) -> bool:
-        """True of a page that has gone on for `SECONDS`."""
+        """True if the page has sent too much for `SECONDS`."""
         return self._beyond >= SECONDS
 
     def garbage(self, kind: str) -> bool:
@@ -203,7 +203,7 @@ class Allowance:
 
     @property
     def talks_nonsense(self) -> bool:
-        """True of a page that has sent too much garbage."""
+        """True if the page has sent too much garbage."""
         return self._garbage >= GARBAGE
 
 
@@ -221,7 +221,7 @@ AWAY, POLICY, FULL = 1001, 1008, 1013  # codes of a closed socket
 
 
 class Host(Protocol):
-    """What the pages are told, and who hears them. `page` is any one of them, the same while it is open."""
+    """Session behind the server, which gives and takes messages. `page`: one page, the same while it is open."""
 
     def greeting(self) -> list[str]:
         """The messages for a page that has just been opened."""
@@ -231,8 +231,8 @@ class Host(Protocol):
         """Take a message of a page, of a right shape. Raises `Garbage` or `Refused`."""
         ...
 
-    def gone(self, page: ServerConnection) -> None:
-        """A page has been closed."""
+    def forget(self, page: ServerConnection) -> None:
+        """Forget a page that was closed."""
         ...
 
 
@@ -246,8 +246,8 @@ class PageConnection(ServerConnection):
         super().connection_made(transport)
         self.allowed, self.heads = Allowance(), False
         self._method: bytes | None = b""  # so far; None: it is known
-        self._deaf = False  # nothing that comes is looked at any more
-        self.clients.arrived(self)
+        self._deaf = False  # further bytes are dropped
+        self.clients.add_stranger(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""
@@ -255,7 +255,7 @@ class PageConnection(ServerConnection):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes, some at a time, for of many frames the first ones may end it."""
+        """Take bytes, some at a time, since the first of many frames may end the connection."""
         if self._method is not None:
             data = self._after_method(data)
         for start in range(0, len(data), PIECE):
@@ -264,7 +264,7 @@ class PageConnection(ServerConnection):
             super().data_received(data[start:start + PIECE])
 
     def process_event(self, event: Any) -> None:
-        """Take a frame. A part of a message, and a frame of control, counts as a message: a page sends none."""
+        """Take a frame. A part of a message or a control frame, of which a page sends none, counts as a message."""
         if self._deaf:
             return
         counts = isinstance(event, Frame) and (not event.fin or event.opcode in (Opcode.PING, Opcode.PONG))
@@ -277,7 +277,7 @@ class PageConnection(ServerConnection):
         super().process_event(event)
 
     def _after_method(self, data: bytes) -> bytes:
-        """The bytes of a request that is a GET; those of another method are answered here, and none are left."""
+        """Return the bytes of a GET request; a request of another method is answered here, and no bytes remain."""
         assert self._method is not None
         self._method += data
         method, blank, _ = self._method[:LONGEST_METHOD].partition(b" ")
@@ -287,7 +287,7 @@ class PageConnection(ServerConnection):
         self.heads = method == b"HEAD"
         if method.replace(b"-", b"x").isalpha() and method.decode() not in METHODS:  # or the head of a longer one
             self._deaf = True
-            self.transport.write(_response(*Requests.of_method()).serialize())
+            self.transport.write(_response(*Requests.refuse_method()).serialize())
             self.transport.write_eof()
             return b""
         return b"GET" + data[len(method):] if self.heads else data
@@ -315,7 +315,7 @@ class Clients:
         """The most bytes that wait for a page."""
         return max(map(_waiting, self._pages), default=0)
 
-    def arrived(self, connection: PageConnection) -> None:
+    def add_stranger(self, connection: PageConnection) -> None:
         """Count a stranger; the oldest of too many is dropped."""
         self._strangers[connection] = None
         if len(self._strangers) > STRANGERS:
@@ -342,8 +342,8 @@ class Clients:
             why = getattr(error, "strerror", None) or error
             raise Refused(f"cannot listen on {HOST}:{port} ({why}); give another port with --port, or leave it out for "
                           "one that is free") from error
-        found: int = self._server.sockets[0].getsockname()[1]
-        return found
+        bound: int = self._server.sockets[0].getsockname()[1]
+        return bound
 
     async def close(self, why: str) -> None:
         """Close all pages, and listen no more."""
@@ -353,11 +353,11 @@ class Clients:
             await self._server.wait_closed()
 
     def show(self, text: str) -> None:
-        """Send all pages a picture; one that is behind does without."""
+        """Send all pages a picture; a page that is behind gets none."""
         broadcast([page for page in self._pages if _waiting(page) < BEHIND], text)
 
     def tell(self, text: str) -> None:
-        """Send all pages what none may miss; one that is lost is given up."""
+        """Send all pages a message that none may miss; a page that is lost is given up."""
         for page in list(self._pages):
             self._tell(page, text)
 
@@ -390,15 +390,15 @@ class Clients:
             pass
         finally:
             self._pages.discard(page)
-            self._host.gone(page)
+            self._host.forget(page)
 
     async def _hear(self, page: PageConnection) -> None:
         allowed = page.allowed
         async for data in page:
             if not allowed.takes(self.now()):
                 if allowed.begins:
-                    self._tell(page, said("warn", f"this page says more than {MOST} messages a second; the rest is "
-                                                  "dropped"))
+                    self._tell(page, sentence_message(
+                        "warn", f"this page says more than {MOST} messages a second; the rest is dropped"))
                 if allowed.floods:
                     await page.close(POLICY, f"more than {MOST} messages a second, for {SECONDS} s")
                     return
@@ -408,12 +408,12 @@ class Clients:
                 self._host.hear(page, read(data))
             except Garbage as garbage:
                 if allowed.garbage(garbage.kind):
-                    self._tell(page, said("error", f"not understood: {garbage}"))
+                    self._tell(page, sentence_message("error", f"not understood: {garbage}"))
                 if allowed.talks_nonsense:
                     await page.close(POLICY, f"{GARBAGE} messages that are none")
                     return
             except Refused as refused:
-                self._tell(page, said("error", str(refused)))
+                self._tell(page, sentence_message("error", str(refused)))
 
 
 def _waiting(page: ServerConnection) -> int:

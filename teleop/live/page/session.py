@@ -24,7 +24,7 @@ LEAVE = 5.0  # s for a process to leave in order, before it is killed
 
 
 class Start(NamedTuple):
-    """How the three are started. `ticking`: options of the ends alone; `program`: see `Child.start`."""
+    """Options for starting the three processes. `ticking`: of the ends alone; `program`: see `Child.start`."""
 
     scene: str
     seed: int
@@ -34,42 +34,45 @@ class Start(NamedTuple):
 
 
 class Children:
-    """`tell(name, event)` is called with each event, `ended(name, sentence)` when one has ended by itself."""
+    """Slave, channel and master: their start, orders and end.
 
-    def __init__(self, start: Start, tell: Callable[[str, dict[str, Any]], None],
-                 ended: Callable[[str, str], None]) -> None:
-        self._start, self._tell, self._ended = start, tell, ended
+    `hear(name, event)` is called with each event, `lose(name, sentence)` when a process has ended by itself.
+    """
+
+    def __init__(self, start: Start, hear: Callable[[str, dict[str, Any]], None],
+                 lose: Callable[[str, str], None]) -> None:
+        self._options, self._hear, self._lose = start, hear, lose
         self._alive: dict[str, Child] = {}
         self._watches: set[asyncio.Task[None]] = set()
         self._ports: dict[str, int] = {}
 
     @property
     def complete(self) -> bool:
-        """Do all three run?"""
+        """True if all three run."""
         return len(self._alive) == 3
 
     async def start(self, knobs: Mapping[str, str], folders: Mapping[str, Path]) -> None:
         """Start all three, the ends m and s to write into `folders`. Raises `Refused`, and stops what has started."""
         try:
-            own = ["--flush", str(FLUSH), *self._start.ticking]
-            slave = await self._one("slave", knobs, "--listen", "127.0.0.1:0", "--out", str(folders["s"]), *own)
+            options = ["--flush", str(FLUSH), *self._options.ticking]
+            slave = await self._start("slave", knobs, "--listen", "127.0.0.1:0", "--out", str(folders["s"]), *options)
             self._ports["slave"] = await slave.port()
             await self.start_channel(knobs, port=0)
             to = f"127.0.0.1:{self._ports['channel']}"
-            await self._one("master", knobs, "--peer", to, "--out", str(folders["m"]), *own)
+            await self._start("master", knobs, "--peer", to, "--out", str(folders["m"]), *options)
         except BaseException:
             await self.stop()
             raise
 
     async def start_channel(self, knobs: Mapping[str, str], port: int | None = None) -> None:
-        """Start the channel between the two, left out at the same port as before. Raises `Refused`."""
+        """Start the channel between the two; without `port` at the same one as before. Raises `Refused`."""
         at = self._ports["channel"] if port is None else port
-        channel = await self._one("channel", knobs, "--listen", f"127.0.0.1:{at}",
+        channel = await self._start("channel", knobs, "--listen", f"127.0.0.1:{at}",
                                   "--peer", f"127.0.0.1:{self._ports['slave']}")
         self._ports["channel"] = await channel.port()
 
     def order(self, order: Mapping[str, Any], *names: str) -> None:
-        """Give those of the three that run an order."""
+        """Give an order to these processes, as far as they run."""
         for name in names:
             if name in self._alive:
                 self._alive[name].order(order)
@@ -81,7 +84,7 @@ class Children:
                 self._alive[end].interrupt(name)
 
     async def stop(self) -> None:
-        """Have all leave in order: the two ends, then the channel between them. What does not is killed."""
+        """Stop all in order: the two ends, then the channel between them. A process that does not leave is killed."""
         alive, self._alive = self._alive, {}
         for several in (("master", "slave"), ("channel",)):
             leaving = [alive[name] for name in several if name in alive]
@@ -97,9 +100,9 @@ class Children:
         if self._watches:
             await asyncio.wait(self._watches, timeout=LEAVE)
 
-    async def _one(self, name: str, knobs: Mapping[str, str], *more: str) -> Child:
-        options = arguments_of(self._start.scene, self._start.seed, knobs, realtime=self._start.realtime)
-        child = await Child.start(name, [*options, *more, "--orders"], orders=True, program=self._start.program)
+    async def _start(self, name: str, knobs: Mapping[str, str], *extra: str) -> Child:
+        options = arguments_of(self._options.scene, self._options.seed, knobs, realtime=self._options.realtime)
+        child = await Child.start(name, [*options, *extra, "--orders"], orders=True, program=self._options.program)
         self._alive[name] = child
         watch = asyncio.create_task(self._watch(child))
         self._watches.add(watch)
@@ -107,25 +110,26 @@ class Children:
         return child
 
     async def _watch(self, child: Child) -> None:
-        def tell(event: dict[str, Any]) -> None:
+        def hear(event: dict[str, Any]) -> None:
             if self._alive.get(child.name) is child:
-                self._tell(child.name, event)
+                self._hear(child.name, event)
 
-        code, errors = await child.watch(tell)
+        code, errors = await child.watch(hear)
         if self._alive.get(child.name) is not child:
-            return  # it was asked to
+            return  # it was stopped
         del self._alive[child.name]
         if child.listening.exception() is None:  # or else who waits for its port says so
-            said = (child.done or {}).get("sentence")
-            self._ended(child.name, str(said or child.failed(code, errors)))
+            sentence = (child.done or {}).get("sentence")
+            self._lose(child.name, str(sentence or child.failed(code, errors)))
 
 
 INDEX = "page.json"
 VERSION = 1
 
 
-class Part(NamedTuple):
-    """One part. `k`: its first tick; `why`: start, turn, again, or lost, when a process had ended."""
+class PagePart(NamedTuple):
+    """Part of a session, with its own records. `k`: first tick; `why`: start, turn, again, or lost (a process ended).
+    """
 
     folder: str
     knobs: dict[str, str]
@@ -133,7 +137,7 @@ class Part(NamedTuple):
     why: str
 
 
-class Parts:
+class PageParts:
     """Parts of a session, a folder for each switch, and their index. `about`: its scene, seed and command.
 
         runs/SCENE-page-N/page.json      list of the parts, with the knobs of each
@@ -145,13 +149,13 @@ class Parts:
     def __init__(self, folder: Path, about: Mapping[str, Any]) -> None:
         self.folder = folder
         self._about = {"version": VERSION, **about}
-        self._parts: list[Part] = []
+        self._parts: list[PagePart] = []
 
     def __len__(self) -> int:
         return len(self._parts)
 
     @property
-    def ran(self) -> bool:
+    def recorded(self) -> bool:
         """True if there is anything to keep: an end has begun a record."""
         return any((end / FILE).is_file() for part in self._parts for end in self._ends(part).values())
 
@@ -161,8 +165,8 @@ class Parts:
         return self._ends(self._parts[-1])
 
     def begin(self, knobs: Mapping[str, str], k: int, why: str) -> dict[str, Path]:
-        """Another part, from tick k on; the folders that its two ends are to make. Raises `OSError`: there is none."""
-        self._parts.append(Part(f"{len(self._parts) + 1:02d}", dict(knobs), k, why))
+        """Begin a part at tick k; return the folders that its ends are to make. Raises `OSError`, and begins none."""
+        self._parts.append(PagePart(f"{len(self._parts) + 1:02d}", dict(knobs), k, why))
         try:
             self._write()
         except OSError:
@@ -170,16 +174,16 @@ class Parts:
             raise
         return self.newest
 
-    def began(self, k: int) -> None:
-        """The newest part began at tick k."""
+    def correct_start(self, k: int) -> None:
+        """Correct the first tick of the newest part to k."""
         self._parts[-1] = self._parts[-1]._replace(k=k)
         self._write()
 
     def merge_all(self, name: str, command: Sequence[str], say: Callable[[str], None],
                   stop: Callable[[], bool]) -> list[Result]:
-        """Put the two ends of each part of scene `name` together and write what came of it, until `stop`.
+        """Merge the two ends of each part of scene `name` and write the results, until `stop`.
 
-        What cannot be put together is told by `say`, and the others go on.
+        `say` reports a part that cannot be merged, and the others go on.
         """
         done = []
         for part in self._parts:
@@ -187,10 +191,11 @@ class Parts:
             if stop():
                 say(f"interrupted: `teleop report {folder}` puts the two ends of the rest together")
                 break
-            there = [end for end in ends.values() if (end / FILE).is_file()]
-            if len(there) < len(ends):
-                if there:
-                    say(f"part {part.folder}: only the {there[0].name} came to it, so there is nothing to put together")
+            recorded = [end for end in ends.values() if (end / FILE).is_file()]
+            if len(recorded) < len(ends):
+                if recorded:
+                    say(f"part {part.folder}: only the {recorded[0].name} came to it, so there is nothing to put "
+                        "together")
                 continue
             try:
                 scene = both_ends(load_scene(name, **part.knobs))
@@ -202,7 +207,7 @@ class Parts:
                 done.append(replace(result, path=folder))
         return done
 
-    def _ends(self, part: Part) -> dict[str, Path]:
+    def _ends(self, part: PagePart) -> dict[str, Path]:
         return {e: self.folder / part.folder / name for e, name in NAMES.items()}
 
     def _write(self) -> None:

@@ -19,7 +19,7 @@ from websockets.typing import Origin
 from teleop.live.page.controls import Controls
 from teleop.live.page.page import Page
 from teleop.live.page.server import Requests
-from teleop.live.page.session import Parts, Start
+from teleop.live.page.session import PageParts, Start
 from teleop.live.process.interrupt import Interrupt
 from tests.waiting import PATIENCE
 
@@ -108,7 +108,7 @@ async def _serve(scenario: Scenario, folder: Path, scene: str, program: tuple[st
                  knobs: dict[str, str]) -> Served:
     folder.mkdir()
     interrupt = Interrupt()
-    parts = Parts(folder, {"scene": scene, "seed": 0, "command": ["teleop", "demo", "--page"]})
+    parts = PageParts(folder, {"scene": scene, "seed": 0, "command": ["teleop", "demo", "--page"]})
     page = Page(Controls(scene, knobs), parts, Start(scene, 0, program=program), interrupt, time.monotonic)
     port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
     running = asyncio.create_task(page.run(Requests(HTML, TOKEN), 0, port.set_result))

@@ -46,7 +46,7 @@ def test_a_channel_that_is_killed_comes_back_and_the_master_is_brought_to_the_sl
             kill("channel")
             await browser.told("the channel is lost")
             await browser.told("the channel is back")
-            await browser.told("turned")
+            await browser.told("switched")
             await browser.until("status", lambda status: status["lost"] is None)
             await browser.until("rows")
         [order] = page.orders("master")
@@ -62,7 +62,7 @@ def test_an_end_that_is_killed_begins_a_part_of_its_own(served: Serve, name: str
         async with page.open() as browser:
             await browser.until("rows")
             await browser.say("turn", law="direct")
-            await browser.told("turned")
+            await browser.told("switched")
             kill(name)
             await browser.told(f"the {name} is lost")
             hello = await browser.until("hello", lambda hello: hello["state"] != "lost")
@@ -105,7 +105,7 @@ def test_a_law_is_judged_anew_after_a_turn(served: Serve) -> None:
             page.page._shaking.sentence = lambda *_: None  # type: ignore[method-assign]  # in place of the rule
             await browser.until("status", lambda status: status["shakes"])
             await browser.say("turn", law="direct")
-            await browser.told("turned")
+            await browser.told("switched")
             await browser.until("status", lambda status: not status["shakes"])
 
     served(scenario)
@@ -134,11 +134,11 @@ def test_a_turn_on_a_full_disk_is_refused_and_the_page_goes_on(served: Serve, mo
             with monkeypatch.context() as disk:
                 disk.setattr("teleop.live.page.session.write_document", full)
                 await browser.say("turn", law="direct")
-                assert "No space left" in (await browser.told("not turned"))["text"]
+                assert "No space left" in (await browser.told("not switched"))["text"]
                 assert (await browser.until("hello"))["law"] == "wave"
                 await browser.until("rows")
             await browser.say("turn", law="pp")
-            await browser.told("turned: law pp")
+            await browser.told("switched: law pp")
 
     assert [part["folder"] for part in served(scenario).index()["parts"]] == ["01", "02"]
 
@@ -203,7 +203,7 @@ def test_a_turn_that_nobody_answers_is_given_up(served: Serve, monkeypatch: pyte
         async with page.open() as browser:
             await browser.until("rows")
             await browser.say("turn", law="direct")
-            await browser.told("did not all turn in time")
+            await browser.told("did not all switch in time")
             assert (await browser.until("hello"))["law"] == "wave"
 
     served(scenario)

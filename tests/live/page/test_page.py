@@ -103,7 +103,7 @@ def test_a_master_is_told_where_the_slave_is_until_the_next_session_begins(serve
         async with page.open() as browser:
             await browser.until("rows")
             await browser.say("turn", law="pfra")
-            await browser.told("turned")
+            await browser.told("switched")
             await page.until(lambda: page.all_orders("master")[-1]["order"] == "align")
             told = -1
             while told < (told := len(page.all_orders("master"))):  # it ends, or the test does

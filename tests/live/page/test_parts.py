@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from teleop import load_result
-from teleop.live.page.session import Parts
+from teleop.live.page.session import PageParts
 from tests.live.conftest import LOSSY
 
 pytestmark = pytest.mark.live
@@ -17,9 +17,9 @@ KNOBS = {"duration": "2.0", "link": LOSSY}
 
 
 @pytest.fixture
-def parts(tmp_path: Path, lossy: Path) -> Parts:
+def parts(tmp_path: Path, lossy: Path) -> PageParts:
     """Three parts: a whole one, one that only the master came to, one whose master's record is another file."""
-    made = Parts(tmp_path, {"scene": "hard_wall", "seed": 0, "command": ["teleop"]})
+    made = PageParts(tmp_path, {"scene": "hard_wall", "seed": 0, "command": ["teleop"]})
     for why in ("start", "turn", "again"):
         folders = made.begin(KNOBS, 0, why)
         for e, name in (("m", "master"), ("s", "slave")):
@@ -31,21 +31,21 @@ def parts(tmp_path: Path, lossy: Path) -> Parts:
 
 
 def test_the_index_has_each_part_with_its_knobs_as_it_begins(tmp_path: Path) -> None:
-    parts = Parts(tmp_path, {"scene": "hard_wall", "seed": 7, "command": ["teleop", "demo"]})
+    parts = PageParts(tmp_path, {"scene": "hard_wall", "seed": 7, "command": ["teleop", "demo"]})
     assert parts.begin({"law": "wave"}, 0, "start") == {"m": tmp_path / "01" / "master", "s": tmp_path / "01" / "slave"}
     parts.begin({"law": "pp"}, 900, "turn")
-    parts.began(917)
+    parts.correct_start(917)
     assert json.loads((tmp_path / "page.json").read_text()) == {
         "version": 1, "scene": "hard_wall", "seed": 7, "command": ["teleop", "demo"], "parts": [
             {"folder": "01", "knobs": {"law": "wave"}, "k": 0, "why": "start"},
             {"folder": "02", "knobs": {"law": "pp"}, "k": 917, "why": "turn"}]}
-    assert not parts.ran
+    assert not parts.recorded
 
 
-def test_a_part_that_cannot_be_put_together_has_its_sentence_and_the_others_go_on(parts: Parts) -> None:
+def test_a_part_that_cannot_be_put_together_has_its_sentence_and_the_others_go_on(parts: PageParts) -> None:
     said: list[str] = []
     [result] = parts.merge_all("hard_wall", ["teleop"], said.append, lambda: False)
-    assert parts.ran
+    assert parts.recorded
     assert result.path == parts.folder / "01"
     assert load_result(parts.folder / "01").ticks == result.ticks > 0
     assert len(said) == 2
@@ -53,7 +53,7 @@ def test_a_part_that_cannot_be_put_together_has_its_sentence_and_the_others_go_o
     assert said[1].startswith("part 03: ")
 
 
-def test_ctrl_c_meanwhile_leaves_the_rest_for_later(parts: Parts) -> None:
+def test_ctrl_c_meanwhile_leaves_the_rest_for_later(parts: PageParts) -> None:
     said: list[str] = []
     assert parts.merge_all("hard_wall", ["teleop"], said.append, lambda: True) == []
     [sentence] = said

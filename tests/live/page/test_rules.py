@@ -7,9 +7,19 @@ from pathlib import Path
 import pytest
 
 from teleop.live.page import command
-from teleop.live.page.controls import HOLDS, NAMES, PATIENCE, REST, Choice, Controls, Drag, Link, Turns
+from teleop.live.page.controls import (
+    HOLDS,
+    PATIENCE,
+    PROCESSES,
+    REST,
+    Choice,
+    Controls,
+    Drag,
+    LinkSettings,
+    SwitchQueue,
+)
 from teleop.live.page.rows import Extremes, Shaking
-from teleop.live.page.server import GARBAGE, LONGEST, MOST, SECONDS, Allowance, Garbage, place, read
+from teleop.live.page.server import GARBAGE, LONGEST, MOST, SECONDS, Allowance, Garbage, hand_position, read
 
 FAST = Choice(law="pfra")
 
@@ -87,54 +97,54 @@ def test_what_is_no_message_is_garbage_with_a_sentence(data: str | bytes, kind: 
 
 
 def test_a_hand_goes_to_a_number_for_each_axis_within_reach() -> None:
-    assert place([1, -2.5], 2) == (1.0, -2.5)
+    assert hand_position([1, -2.5], 2) == (1.0, -2.5)
     for to in ([0.0], [0.0, 11.0], [0.0, 0.0, 0.0]):
         with pytest.raises(Garbage):
-            place(to, 2)
+            hand_position(to, 2)
 
 
 def test_one_turn_at_a_time_and_of_what_is_asked_meanwhile_the_newest() -> None:
-    turns = Turns(Choice())
-    turns.ask(FAST)
-    first = turns.next(1.0)
+    switches = SwitchQueue(Choice())
+    switches.ask(FAST)
+    first = switches.next(1.0)
     assert first is not None
     assert first.choice == FAST
     for k_e in (1.0, 2.0, 3.0):
-        turns.ask(turns.wanted._replace(k_e=k_e))
-    assert turns.next(1.1) is None
-    assert [turns.answered(name, 1.2) for name in sorted(NAMES)] == [None, None, first]
-    assert turns.next(1.2 + REST / 2) is None
-    second = turns.next(1.2 + 2 * REST)
+        switches.ask(switches.wanted._replace(k_e=k_e))
+    assert switches.next(1.1) is None
+    assert [switches.take_answer(name, 1.2) for name in sorted(PROCESSES)] == [None, None, first]
+    assert switches.next(1.2 + REST / 2) is None
+    second = switches.next(1.2 + 2 * REST)
     assert second is not None
     assert second.choice == FAST._replace(k_e=3.0)
 
 
 def test_that_it_is_to_begin_again_is_not_lost_over_a_slider() -> None:
-    turns = Turns(Choice())
-    turns.ask(turns.wanted, again=True)
-    turns.ask(FAST)
-    turn = turns.next(1.0)
+    switches = SwitchQueue(Choice())
+    switches.ask(switches.wanted, again=True)
+    switches.ask(FAST)
+    turn = switches.next(1.0)
     assert turn is not None
     assert turn.again
     assert turn.choice == FAST
 
 
 def test_what_is_asked_for_and_taken_back_is_no_turn() -> None:
-    turns = Turns(Choice())
-    turns.ask(FAST)
-    turns.ask(Choice())
-    assert turns.next(1.0) is None
+    switches = SwitchQueue(Choice())
+    switches.ask(FAST)
+    switches.ask(Choice())
+    assert switches.next(1.0) is None
 
 
 def test_a_turn_without_all_answers_is_late_and_given_up_for_what_was_before() -> None:
-    turns = Turns(Choice())
-    turns.ask(FAST)
-    turns.next(1.0)
-    turns.answered("channel", 1.1)
-    assert not turns.late(1.0 + PATIENCE)
-    assert turns.late(1.1 + PATIENCE)
-    turns.give_up()
-    assert turns.choice == Choice()
+    switches = SwitchQueue(Choice())
+    switches.ask(FAST)
+    switches.next(1.0)
+    switches.take_answer("channel", 1.1)
+    assert not switches.late(1.0 + PATIENCE)
+    assert switches.late(1.1 + PATIENCE)
+    switches.give_up()
+    assert switches.choice == Choice()
 
 
 def seconds(shaking: Shaking, *swings: tuple[float, float], start: int = 0) -> list[str]:
@@ -183,14 +193,14 @@ def test_what_a_person_does_is_not_called_unstable() -> None:
     shaking = Shaking([20.0])
     said = []
     for i in range(8):
-        shaking.moved()
+        shaking.note_motion()
         said += seconds(shaking, (-20.0, 20.0), start=i)
     assert said == []
 
 
 def test_a_link_is_written_without_what_is_nothing() -> None:
-    assert Link(0.05, 0.0, 0.1).text == "delay(0.05) | bernoulli(0.1)"
-    assert Link().text == "delay(0.0)"
+    assert LinkSettings(0.05, 0.0, 0.1).text == "delay(0.05) | bernoulli(0.1)"
+    assert LinkSettings().text == "delay(0.0)"
 
 
 def test_a_law_takes_its_own_numbers_and_the_scenes_own_law_those_that_were_typed() -> None:
@@ -224,7 +234,7 @@ def test_the_scenes_own_link_stays_until_a_slider_of_it_is_moved() -> None:
 
 
 def test_of_axes_in_m_and_in_rad_each_is_shown_on_a_scale_of_its_own() -> None:
-    """The wall of `pose` at 40 mm was shown on an axis of 19 m, for the tool turns by 7.6 rad."""
+    """The wall of `pose` at 40 mm was shown on an axis of 19 m, for the tool switches by 7.6 rad."""
     controls = Controls("pose", {})
     choice = Choice()
     spans = controls.hello(choice, controls.scene(choice))["spans"]
