@@ -19,7 +19,7 @@ from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop import DeviceError, Reading, Refused, check_device, load_scene
 from teleop.__main__ import main
-from teleop.live.devices.checking import BLOCKED_S
+from teleop.live.devices.call_watch import BLOCKED_S
 from teleop.live.devices.judging import DeviceFault, Mistake
 from teleop.scene.library import ROOT
 from tests.live.test_own_device import Standing

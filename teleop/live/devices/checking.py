@@ -1,26 +1,24 @@
 """Check of a device against the needs of a live end: `check_device(MyArm, e="s")`, `teleop check robot NAME`.
 
-How long `read` and `hold` take is measured and told, never judged: another machine has other times. All else is right
-or is a `DeviceFault` with one sentence. A device is pushed only if it says that it is simulated, by an attribute
+The times of `read` and `hold` are measured and reported, never judged: another machine has other times. Any mistake is
+a `DeviceFault` with one sentence. A device is pushed only if it says that it is simulated, by an attribute
 `simulated` or `scene_body` that is true, or if that is asked for.
 """
 
 from __future__ import annotations
 
-import faulthandler
-import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from math import ceil
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
-from threading import Event, Thread
 from typing import Any
 
 from teleop.errors import DeviceError, Refused, number, number_of, whole_number
+from teleop.live.devices.call_watch import CallWatch
 from teleop.live.devices.device_watchdog import with_watchdog
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, is_simulated
 from teleop.live.devices.judging import (
@@ -40,75 +38,6 @@ from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.axes import FORCE_UNIT
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
-from teleop.terminal.options import FAULT, FORCED, complain
-
-BLOCKED_S, LOOK_S, LET_GO_S = 1.2, 0.1, 0.3  # a call that takes so long does not return; between looks; to set zero
-STUCK_S = 1.8  # without a look, where compiled code keeps Python's lock
-
-
-class CallWatch:
-    """A thread that ends the process where a call of the device does not return."""
-
-    def __init__(self, device: str) -> None:
-        self.guarded: GuardedDevice | None = None  # whose force is to be zero then
-        self._device = device
-        self._call, self._calls = "", 0
-        self._done = Event()
-
-    def __enter__(self) -> CallWatch:
-        self._arm()
-        self._thread = Thread(target=self._look, name="call watch", daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._done.set()
-        self._thread.join()
-
-    @contextmanager
-    def calling(self, method: str) -> Iterator[None]:
-        """Look after one call."""
-        self._calls += 1
-        self._call = method
-        try:
-            yield
-        finally:
-            self._call = ""
-
-    def _look(self) -> None:
-        """Count the looks that find the same call; time that this thread stood still itself does not count."""
-        seen, looks = 0, 0
-        try:
-            while not self._done.wait(LOOK_S):
-                self._arm()
-                looks = looks + 1 if self._call and self._calls == seen else 0
-                seen = self._calls
-                if looks * LOOK_S >= BLOCKED_S:
-                    self._end()
-        finally:
-            faulthandler.cancel_dump_traceback_later()
-
-    @staticmethod
-    def _arm() -> None:
-        """Have the process end with a traceback if no look is taken: this needs no lock of Python's."""
-        faulthandler.dump_traceback_later(STUCK_S, exit=True, file=2)
-
-    def _end(self) -> None:
-        faulthandler.cancel_dump_traceback_later()
-        method, guarded, took = self._call or "call", self.guarded, list[bool]()
-        forced = guarded is not None and guarded.forced
-        if guarded is not None:
-            worker = Thread(target=lambda: took.append(guarded.let_go()), daemon=True)
-            worker.start()
-            worker.join(LET_GO_S)
-        zero = took == [True]
-        force = ("its force was set to zero" if zero else "it did not take zero force either, and the force may still "
-                 "be on: switch it off" if forced else "no force was on")
-        complain(f"{self._device}: its {method} did not return for {BLOCKED_S:g} s, and a live end stands still for as "
-                 f"long; let a thread of the device do the waiting, or have {method} raise DeviceError after a short "
-                 f"timeout of its driver ({force})", FAULT)
-        os._exit(FORCED if forced and not zero else FAULT)
-
 
 GENTLE = 0.2  # m/s^2 or rad/s^2, to which what is simulated is pushed, were it the scene's own body
 SIMULATED_N, MACHINE_N = 1.0, 0.1  # N or N m: of what is simulated, if less does not move it, and of a machine
@@ -118,13 +47,13 @@ FAR = 5e-3  # m or rad: a machine that has come so far is pushed no more, the fo
 HAND = 1e-3  # m or rad: a machine that nobody pushes and that came so far was moved by a hand
 SAME = 1e-3  # of the push: a simulated sensor is no nearer to the motor's force, unless it reads that
 NEARLY = 0.05  # of a machine, whose current is measured
-LEFT_OUT = 50  # ticks that are left out once
+SKIPPED = 50  # ticks that are skipped once
 WAIT_S = 2.0  # for a first reading, and for a device to take zero
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceCheck:
-    """What `check_device` has found. Times in s, over `reads` calls; `moved`: by the push, m or rad, in each axis."""
+    """Result of `check_device`. Times in s, over `reads` calls; `moved`: by the push, m or rad, in each axis."""
 
     device: str
     axes: int
@@ -235,7 +164,7 @@ class _Trial:
             if at == ticks // 2:
                 self._check_slopes(motions)
                 motions = self._motions()
-                self.k += LEFT_OUT
+                self.k += SKIPPED
             self._tick(self.zero, motions)
         self._check_readings()
         self._check_slopes(motions)
@@ -342,10 +271,10 @@ class _Trial:
         for motion in motions:
             check_velocity(motion, max(least, 0.0 if self.simulated else HAND))
 
-    def push(self, result: DeviceCheck, asked: bool | None, force: float | None) -> DeviceCheck:
-        """`result`, with what a push along each axis did."""
-        if asked is False or (asked is None and not self.simulated):
-            why = "" if asked is False else ": ask for it by --push (from Python push=True)"
+    def push(self, result: DeviceCheck, wanted: bool | None, force: float | None) -> DeviceCheck:
+        """Push the device along each axis; return `result` with its answers."""
+        if wanted is False or (wanted is None and not self.simulated):
+            why = "" if wanted is False else ": ask for it by --push (from Python push=True)"
             return _noted(result, f"the sign of its force was not tried, since that moves it{why}")
         if result.deadline is None and not result.watchdog:
             raise DeviceFault(Mistake.NO_LIMIT, (
@@ -364,13 +293,13 @@ class _Trial:
         return _noted(result, f"no force moved it along {', '.join(still)}, so its sign there is not known") if (
             still) else result
 
-    def _push_simulated(self, axis: int, asked: float | None, twin: _Twin, repeated: _Twin) -> tuple[float, float]:
-        """The force of a sudden push and by how much (m or rad) it moved the device, 0 where it did not.
+    def _push_simulated(self, axis: int, force: float | None, twin: _Twin, repeated: _Twin) -> tuple[float, float]:
+        """Push it suddenly; return the force, and by how much (m or rad) it moved the device, 0 where it did not.
 
         `repeated` is pushed as the device is, with two calls of hold at each tick.
         """
         body = self.scene.per_axis("slave" if self.e == "s" else "master")[axis]
-        size = min(SIMULATED_N, GENTLE * getattr(body, "mass", 0.5)) if asked is None else asked
+        size = min(SIMULATED_N, GENTLE * getattr(body, "mass", 0.5)) if force is None else force
         stay = max(10, round(STAY_S / self.scene.dt))
         while True:
             motion = self._motions()[axis]
@@ -378,19 +307,19 @@ class _Trial:
             least = 2.0 * (max(wobble) - min(wobble))
             noise = 2.0 * (max(motion.f) - min(motion.f)) if motion.f else 0.0  # of ten readings alone
             repeated.at(self.k)
-            motion, other = self._motions()[axis], self._motions()[axis]
-            for force in (size,) * stay + (0.0,) * (stay + 1):
-                self._step(axis, force, motion, twin)
-                repeated.follow(self.k, axis, force, other, twin)
-            self._check_adding(check_repetition, motion, other, 3.0 * least, size=size)
+            motion, doubled = self._motions()[axis], self._motions()[axis]
+            for step in (size,) * stay + (0.0,) * (stay + 1):
+                self._step(axis, step, motion, twin)
+                repeated.follow(self.k, axis, step, doubled, twin)
+            self._check_adding(check_repetition, motion, doubled, 3.0 * least, size=size)
             self._judge(axis, motion, least, noise, SAME * size)
             moved = _farthest(motion)
-            if abs(moved) > least or asked is not None or size >= SIMULATED_N:
+            if abs(moved) > least or force is not None or size >= SIMULATED_N:
                 return size, moved if abs(moved) > least else 0.0
             size = min(SIMULATED_N, 2.0 * size)
 
     def _push_machine(self, axis: int, most: float) -> tuple[float, float]:
-        """The same of a machine, along a ramp, after a smaller push that would show that its force adds up."""
+        """Push a machine along a ramp, after a smaller push that would show that its force adds up; return the same."""
         ramp, stay = (max(1, round(each / self.scene.dt)) for each in (RAMP_S, STAY_S))
         at_rest = self._motions()[axis]
         for _ in range(2 * ramp + stay):
@@ -474,7 +403,7 @@ class _Trial:
         return motion.by[-1]
 
     def let_go(self) -> None:
-        """No force, whatever it raises. Raises `DeviceFault` if it does not take that."""
+        """Hold no force, whatever it raises. Raises `DeviceFault` if it does not take that."""
         until = time.monotonic() + WAIT_S
         for axis, total in enumerate(self.sums if self.adds_up else ()):
             steps = ceil(abs(total) / self.adds_up)

@@ -1,4 +1,4 @@
-"""What `teleop check device NAME` and `teleop check robot NAME` do."""
+"""Commands `teleop check device NAME` and `teleop check robot NAME`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from teleop.terminal.options import FAULT, FORCED, knobs_from
 
 
 def command(args: Namespace) -> Answer:
-    """Check a device as `check_device` does; a mistake of its is exit code 1. Raises `Refused`."""
+    """Check a device as `check_device` does; a device with a mistake ends with exit code 1. Raises `Refused`."""
     scene = load_scene(args.scene, **knobs_from(args))
     e = "m" if args.what == "device" else "s"
     # A device that is pushed lets go of these too, as of Ctrl-C.

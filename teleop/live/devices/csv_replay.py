@@ -49,7 +49,7 @@ class RecordedMotion:
         part = (t - self.t[i - 1]) / (self.t[i] - self.t[i - 1])
         if self.v is None:
             span = self.t[i] - self.t[i - 1]
-            v = tuple([(there - here) / span for here, there in zip(self.x[i - 1], self.x[i], strict=True)])
+            v = tuple([(x1 - x0) / span for x0, x1 in zip(self.x[i - 1], self.x[i], strict=True)])
         else:
             v = _between(self.v, i, part)
         return Reading(_between(self.x, i, part), v, None if self.f is None else _between(self.f, i, part))
@@ -59,14 +59,13 @@ def _between(rows: Sequence[Axes], i: int, part: float) -> Axes:
     """The row `part` of the way from row i - 1 to row i; at its end that row, to the bit."""
     if part == 1.0:
         return rows[i]
-    return tuple([here + (there - here) * part for here, there in zip(rows[i - 1], rows[i], strict=True)])
+    return tuple([x0 + (x1 - x0) * part for x0, x1 in zip(rows[i - 1], rows[i], strict=True)])
 
 
 def read_motion(path: str, e: str, axes: Sequence[str], units: Sequence[str]) -> RecordedMotion:
-    """The motion of the end `e`, "m" or "s", in a file; `axes`: their names, `units`: m or rad of each.
+    """Read the motion of the end `e`, "m" or "s", from a file; `axes`: their names, `units`: m or rad of each.
 
-    Where the units of its columns stand beside it, as an export writes them, they are compared. Raises `Refused` with
-    path and line.
+    The units of its columns are compared, if an export has written them beside it. Raises `Refused` with path and line.
     """
     try:
         lines = read_bytes(Path(path)).decode("utf-8-sig").splitlines()
@@ -108,7 +107,7 @@ def read_motion(path: str, e: str, axes: Sequence[str], units: Sequence[str]) ->
 
 
 def _columns(path: str, header: list[str], e: str, axes: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
-    """The names of the columns of position, velocity and sensed force; those of what was not recorded are empty."""
+    """The columns of position, velocity and sensed force; an empty list for a quantity that was not recorded."""
     if "t" not in header:
         raise Refused(f"{path} has no column t, the time in s; it has {', '.join(header)[:200]}, and {FORM}")
     plain = [name for name in header if name != "t"]
@@ -118,21 +117,21 @@ def _columns(path: str, header: list[str], e: str, axes: Sequence[str]) -> tuple
     def of(what: str) -> list[str]:
         return [what] if len(axes) == 1 else [f"{what}_{axis}" for axis in axes]
 
-    there = [name for name in header if name == f"x_{e}" or name.startswith(f"x_{e}_")]
-    if not there:
-        other, word = ("s", "slave's") if e == "m" else ("m", "master's")
-        if any(name.startswith(f"x_{other}") for name in header):
-            raise Refused(f"{path} has the {word} motion, x_{other}, and none of this end, x_{e}; give it to the other "
+    positions = [name for name in header if name == f"x_{e}" or name.startswith(f"x_{e}_")]
+    if not positions:
+        peer, word = ("s", "slave's") if e == "m" else ("m", "master's")
+        if any(name.startswith(f"x_{peer}") for name in header):
+            raise Refused(f"{path} has the {word} motion, x_{peer}, and none of this end, x_{e}; give it to the other "
                           "end, or export a run that has both")
         if {*plain} <= {"x", "y", "z"}:
             raise _other_axes(path, len(plain), axes)
         raise Refused(f"{path} has no column {of(f'x_{e}')[0]}, nor {axes[0]}; it has {', '.join(header)[:200]}, and "
                       f"{FORM}")
-    if there != of(f"x_{e}"):
-        if len(there) != len(axes):
-            raise _other_axes(path, len(there), axes)
-        raise Refused(f"{path} has the axes {', '.join(there)}, and the scene's are {', '.join(of(f'x_{e}'))}; rename "
-                      "the columns, or take the scene that was recorded")
+    if positions != of(f"x_{e}"):
+        if len(positions) != len(axes):
+            raise _other_axes(path, len(positions), axes)
+        raise Refused(f"{path} has the axes {', '.join(positions)}, and the scene's are {', '.join(of(f'x_{e}'))}; "
+                      "rename the columns, or take the scene that was recorded")
     parts = [of(f"x_{e}"), of(f"v_{e}"), of(FORCE[e])]
     for part in parts[1:]:
         missing = [name for name in part if name not in header]
@@ -148,13 +147,13 @@ def _check_units(path: str, units: dict[str, str]) -> None:
     """Refuse positions that were exported in m, where the scene's axis is in rad, or the other way round."""
     try:
         described = parse(read_bytes(Path(f"{path}-metadata.json")))
-        told = {each["name"]: each["schema:unitText"] for each in described["tableSchema"]["columns"]}
+        exported = {each["name"]: each["schema:unitText"] for each in described["tableSchema"]["columns"]}
     except (OSError, ValueError, LookupError, TypeError):
         return  # a file of one's own has none beside it
-    wrong = [name for name, unit in units.items() if told.get(name) in ("m", "rad") and told[name] != unit]
+    wrong = [name for name, unit in units.items() if exported.get(name) in ("m", "rad") and exported[name] != unit]
     if wrong:
-        raise Refused(f"{path} has {wrong[0]} in {told[wrong[0]]}, and that axis of the scene is in {units[wrong[0]]}; "
-                      "take the scene that was recorded, with its units")
+        raise Refused(f"{path} has {wrong[0]} in {exported[wrong[0]]}, and that axis of the scene is in "
+                      f"{units[wrong[0]]}; take the scene that was recorded, with its units")
 
 
 def _other_axes(path: str, had: int, axes: Sequence[str]) -> Refused:
@@ -194,7 +193,7 @@ class Replay:
         return self.motion.at(k * self._dt_ns / 1e9)
 
     def hold(self, force: Axes) -> None:
-        """Nothing: a recording is moved by no force."""
+        """Ignore the force: a recording is moved by none."""
 
 
 def replayed_device(scene: Scene, path: str) -> Replay:

@@ -38,7 +38,7 @@ class LiveDevice(Protocol):
     """
 
     def read(self, k: int) -> Reading:
-        """What it reads at tick k; the force held since the last reading acted until now.
+        """Read the state at tick k; the force held since the last reading acted until now.
 
         Tick 0 is asked for more than once: before the first exchange, and before the run. After that k only grows.
         A number may be of any real type (int, numpy's scalars); what is none (bool, str, None, complex) is refused.
@@ -72,29 +72,29 @@ def is_simulated(device: LiveDevice) -> bool:
 
 
 class GuardedDevice:
-    """A device whose failures are values. `trouble`: what is wrong with it now, None if nothing is.
+    """A device whose failures are values. `trouble`: its failure now, None if it works.
 
-    `trusted`: what it reads is taken as it is. So it is where ends go by packets and must do as in virtual time, where
-    what is not finite is a run that diverged.
+    `trusted`: its readings are taken as they are. So it is where ends go by packets and must do as in virtual time,
+    where a reading that is not finite is a run that diverged.
     """
 
     def __init__(self, device: LiveDevice, axes: int, *, trusted: bool = False) -> None:
         self.device, self.trusted = device, trusted
         self.trouble: str | None = None
-        self.forced = False  # has it been given a force, and not taken zero since
-        self.closed = False  # is it given zero alone from now on
-        self.sensor: bool | None = None  # does it sense the external force; None before its first reading
-        self.switches: tuple[str, ...] = ()  # that it has, from its first reading on
+        self.forced = False  # it was given a force, and has not taken zero since
+        self.closed = False  # it is given zero alone from now on
+        self.sensor: bool | None = None  # it senses the external force; None before its first reading
+        self.switches: tuple[str, ...] = ()  # its switches, from its first reading on
         self._lacks = True, True  # clutch, present
         self._zero = (0.0,) * axes
         self._held_well = True
         self._failing_ns: int | None = None  # since when; None while it is well
 
     def read(self, k: int, now: int) -> Reading | None:
-        """What it reads at tick k, in floats; None: it could not, or a velocity, a force or NaN among it is not finite.
+        """Read it at tick k, in floats; None: it could not, or a velocity or a force is not finite, or a number is NaN.
 
-        A position that is infinite is let through: it is a body that has left, which ends the run. Raises `Refused` if
-        its first reading is not made of numbers; a later one that is not is no reading.
+        An infinite position passes: it is a body that has left, which ends the run. Raises `Refused` if its first
+        reading is not made of numbers; a later one that is not counts as none.
         """
         reading = self._read(k)
         if reading is not None and self._held_well:
@@ -133,8 +133,8 @@ class GuardedDevice:
         if self.sensor is None:
             self.switches, self._lacks = has, (reading.clutch is None, reading.present is None)
         elif has != self.switches:
-            self.trouble = (f"it read {_named(has)} where its first reading had {_named(self.switches)}; a device has "
-                            "a switch or none")
+            self.trouble = (f"it read {_switch_list(has)} where its first reading had {_switch_list(self.switches)}; a "
+                            "device has a switch or none")
             return None
         if (reading.f is not None) is not self.sensor:
             if self.sensor is not None:
@@ -146,13 +146,13 @@ class GuardedDevice:
 
     @property
     def force_source(self) -> ForceSource:
-        """Where the external force at this end is from, as its record says it; known from its first reading on."""
+        """Source of the external force at this end, for its record; known from its first reading on."""
         return "sensor" if self.sensor else "bodies" if getattr(self.device, "scene_body", False) else "unknown"
 
     def hold(self, force: Axes) -> bool:
         """Have it hold `force` (N, per axis); True if it took that.
 
-        What is neither DeviceError nor OSError comes through: it is a fault.
+        An exception that is neither DeviceError nor OSError comes through: it is a fault.
         """
         if self.closed:
             force = self._zero
@@ -213,14 +213,14 @@ def _in_floats(reading: Any, axes: int) -> Reading:
         raise Refused(f"the device has {number_of(n, 'axis', 'axes')}, for so many numbers has the x that it read, and "
                       f"the scene has {axes}; take a scene of {number_of(n, 'axis', 'axes')} at both ends (--set "
                       f"axes={n} where it has that knob), or another device")
-    more = "," if axes == 1 else "".join(f", {{0}}{axis}" for axis in range(2, axes + 1))
-    sample_x, sample_v = (f"({letter}{more.format(letter)})" for letter in "xv")
+    rest = "," if axes == 1 else "".join(f", {{0}}{axis}" for axis in range(2, axes + 1))
+    sample_x, sample_v = (f"({letter}{rest.format(letter)})" for letter in "xv")
     raise Refused("a device's read gives Reading(x, v, f), each a tuple with a number for each axis, here "
                   f"{axes}, in m, m/s and N, f None without a force sensor; this one gave {str(reading)[:99]}; "
                   f"write for example Reading({sample_x}, {sample_v}, None)")
 
 
-def _named(switches: tuple[str, ...]) -> str:
+def _switch_list(switches: tuple[str, ...]) -> str:
     return " and ".join(switches) if switches else "no switch"
 
 

@@ -1,6 +1,6 @@
-"""Mistakes of a device that its readings show: functions of a motion that has been recorded, without the device.
+"""Mistakes of a device that its readings show: functions of a recorded motion, without the device.
 
-`teleop.live.devices.checking` moves the device and asks here. What is compared is the device with itself: v with x, its
+`teleop.live.devices.checking` moves the device and calls these. They compare the device with itself: v with x, its
 answer to a push with the push.
 """
 
