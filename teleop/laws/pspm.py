@@ -91,20 +91,18 @@ class PSPM:
         check_knobs(self)
 
     def conditions(self, facts: Facts) -> tuple[str, ...]:
-        ends = (("B_m", self.B_m, facts.mass_m), ("B_s", self.B_s, facts.mass_s))
-        most = min(facts.mass_m, facts.mass_s) / (facts.held * facts.held)
+        stiffest, *dampers = _greatest(facts)
         spring = (f"a held spring gives a body at rest no more energy than its end has where K <= m/T^2, T the longest "
-                  f"tick, which K = {self.K:g} N/m is not; --set law.K={enough(most, least=False)} is the most")
-        dampers = [f"a damper that is held from tick to tick takes energy where B <= m/T, T the longest tick, "
-                   f"which {name} = {B:g} N s/m is not; --set law.{name}="
-                   f"{enough(mass / facts.held, least=False)} is the most"
-                   for name, B, mass in ends if B * facts.held > mass]
-        return (*([spring] if most < self.K else []), *dampers)
+                  f"tick, which K = {self.K:g} N/m is not; --set law.K={enough(stiffest, least=False)} is the most")
+        too_large = [f"a damper that is held from tick to tick takes energy where B <= m/T, T the longest tick, "
+                f"which {name} = {B:g} N s/m is not; --set law.{name}={enough(most, least=False)} is the most"
+                for name, B, most in zip(("B_m", "B_s"), (self.B_m, self.B_s), dampers, strict=True) if most < B]
+        return (*([spring] if stiffest < self.K else []), *too_large)
 
     def fitted(self, facts: Facts) -> PSPM:
-        """The law with both dampers no more than 2 m/T."""
-        return replace(self, B_m=min(self.B_m, 2.0 * facts.mass_m / facts.held),
-                       B_s=min(self.B_s, 2.0 * facts.mass_s / facts.held))
+        """The law with both dampers no more than m/T, and K no more than m/T^2."""
+        K, B_m, B_s = _greatest(facts)
+        return replace(self, K=min(self.K, K), B_m=min(self.B_m, B_m), B_s=min(self.B_s, B_s))
 
     def master_start(self, at: At) -> tuple[PSPMEnd, Back]:
         return PSPMEnd(at.x, self.E_0, 0.0, 0.0), Back(at.x, 0.0)  # until the first message: stay
@@ -133,6 +131,12 @@ class PSPM:
     def slave(self, s: PSPMEnd, at: At, rx: Forth, over: PSPMSums) -> tuple[float, Back, PSPMEnd]:
         s = modulate(self.K, self.E_max, s, at.x, rx.x, rx.S, over)
         return self.K * (s.y - at.x) - self.B_s * at.v, Back(at.x, s.S), s
+
+
+def _greatest(facts: Facts) -> tuple[float, float, float]:
+    """The greatest K (N/m), B_m and B_s (N s/m) with which a spring and dampers held over T take energy."""
+    T = facts.held
+    return min(facts.mass_m, facts.mass_s) / (T * T), facts.mass_m / T, facts.mass_s / T
 
 
 def modulate(K: float, E_max: float, s: PSPMEnd, x: float, x_rx: float, came: float, over: PSPMSums) -> PSPMEnd:

@@ -110,9 +110,9 @@ class TwoLayer:
         return (*([share] if self.beta > even * (1.0 + 1e-9) else []), *([damper] if self.d_max > most else []))
 
     def fitted(self, facts: Facts) -> TwoLayer:
-        """The law with beta no more than dt/(T1 + T2), and d_max no more than 2 m/T."""
+        """The law with beta no more than dt/(T1 + T2), and d_max no more than m/T."""
         return replace(self, beta=min(self.beta, even_share(facts)),
-                       d_max=min(self.d_max, 2.0 * facts.mass_m / facts.held))
+                       d_max=min(self.d_max, facts.mass_m / facts.held))
 
     def master_start(self, at: At) -> tuple[Tank, Back]:
         return Tank(self.H_0, 0.0, 0.0), Back(0.0, 0.0)

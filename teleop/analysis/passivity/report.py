@@ -83,7 +83,7 @@ def table(answer: PassivityAnswer) -> str:
     if answer.left_out:
         rows.append(("left out", ", ".join(answer.left_out) + ": not linear, or not known here"))
     names = labels_of(answer.scene)
-    return facts([(label, told_along(text, names.in_units(answer.scene.axes)[0])) for label, text in rows])
+    return facts([(label, told_along(text, names.units_for(answer.scene.axes)[0])) for label, text in rows])
 
 
 def _damping(value: float) -> str:
@@ -168,7 +168,7 @@ def _llewellyn(judged: Judged) -> str:
 
 def summary(answer: PassivityAnswer, command: Sequence[str] = ()) -> dict[str, Any]:
     """The JSON document; what has no bound or is not known is null."""
-    axis = labels_of(answer.scene).in_units(answer.scene.axes)[0]
+    axis = labels_of(answer.scene).units_for(answer.scene.axes)[0]
 
     def along(value: float | None, unit: str) -> WithUnit:
         """The value in the unit that it has on this axis, by that along a line."""

@@ -42,7 +42,7 @@ def table(got: Precision) -> str:
 
 def axis_of(got: Precision) -> str:
     """The unit of the axis that was looked at, m or rad."""
-    return labels_of(got.scene).in_units(got.scene.axes)[0]
+    return labels_of(got.scene).units_for(got.scene.axes)[0]
 
 
 def _order(entries: Sequence[Entry]) -> Any:

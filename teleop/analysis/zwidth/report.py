@@ -123,7 +123,7 @@ def _facts(got: ZWidth) -> Iterator[tuple[str, str]]:
 def summary(got: ZWidth, command: Sequence[str] = ()) -> dict[str, Any]:
     """The JSON document; what does not exist is null."""
     sentence = got.base.region.sentence if got.rows else "interrupted before anything was found"
-    axis = labels_of(got.scene).in_units(got.scene.axes)[0]
+    axis = labels_of(got.scene).units_for(got.scene.axes)[0]
     stiffness, damping = unit_on("N/m", axis), unit_on("N s/m", axis)
 
     def boundary(edge: Boundary | None) -> dict[str, Any] | None:

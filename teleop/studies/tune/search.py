@@ -394,13 +394,15 @@ class LawSearch:
         while self.left > 0 and idle < 4:  # a law may have fewer points than there are rows for
             ranked = sorted(self.scores, key=lambda point: self.scores[point].order)
             far = [point for point in ranked if not any(self._is_near(point, end, FAR) for end in ends)]
-            if run < len(self.playouts):  # each playout once at first
+            until = 0  # points that are left where this strategy ends
+            if run < len(self.playouts):  # each has its turn first, and a share of the points
+                until = self.left - self.left // (len(self.playouts) - run + 1)
                 far = [point for point in far or ranked if point[-1] == self.playouts[run]] or far
             start = far[0] if far else self._repair(self._draw(run + 1)[-1])
             strategy = Strategy([part(span, value) for span, value in zip(spans, start, strict=False)], STEP,
                                 key=(self.seed, run))
             best, since, left = self.scores.get(start), 0, self.left
-            while self.left > 0 and since < STALE and strategy.spread > LEAST:
+            while self.left > until and since < STALE and strategy.spread > LEAST:
                 drawn = strategy.ask()
                 points = [self._repair((*[value_at(span, u) for span, u in zip(spans, fold(x), strict=True)],
                                       *start[len(spans):])) for x in drawn]

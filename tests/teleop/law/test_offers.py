@@ -11,6 +11,8 @@ from channel import Bernoulli, Delay
 from channel.left_out import LeftOut
 from teleop import At, Fixed, Hold, Integral, Refused, Scene, Wave, Zero, load_scene, run
 from teleop.checks.trials import try_claims
+from teleop.knob import knobs_of_fields
+from teleop.law import find_law, known_laws
 from teleop.law.offers import AgeRange as Ages
 from teleop.law.offers import Facts, broken, seed_energy
 from teleop.physics.plant import MassDamper
@@ -235,3 +237,17 @@ def test_a_message_field_with_a_name_of_the_situation_is_refused() -> None:
     with pytest.raises(Refused, match="has a message with the field f, a name of At"):
         scene(Costly())
 
+
+@pytest.mark.parametrize("name", [name for name in known_laws() if hasattr(find_law(name), "fitted")])
+@pytest.mark.parametrize("held", [1e-3, 3e-3])
+@pytest.mark.parametrize("ages", [Ages(0.05, 0.05), Ages(0.06, 0.1)])
+def test_a_law_that_fitted_itself_broke_its_own_condition(name: str, held: float, ages: Ages) -> None:
+    """Dampers were fitted to 2 m/T where the condition says m/T, so a search went back to points that broke it."""
+    kind = find_law(name)
+    facts = Facts(1e-3, 1, 0.1, 0.5, 0.3, 1.0, ages, ages, ages.greatest > ages.least, "integral", held)
+    laws = [replace(kind(), **{knob: end}) for knob, each in knobs_of_fields(kind).items()
+            for end in each.knob.span or ()]
+    assert laws
+    for law in laws:
+        fit = law.fitted(facts)
+        assert not hasattr(fit, "conditions") or fit.conditions(facts) == ()

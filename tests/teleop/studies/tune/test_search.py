@@ -11,7 +11,8 @@ from teleop import load_scene, run
 from teleop.errors import Refused
 from teleop.simulation.notes import unmet
 from teleop.studies.margin import margin
-from teleop.studies.tune.search import Scored, Tuned, tune_law
+from teleop.studies.tune.objective import Score
+from teleop.studies.tune.search import Scored, Tuned, _Search, tune_law
 
 SHORT: dict[str, Any] = {"k_e": 2000.0, "duration": 2.5}
 
@@ -139,3 +140,19 @@ def test_a_single_playout_is_no_choice_and_is_played_all_the_same() -> None:
     assert got.knobs["playout"] == "integral"
     assert "playout=integral" in got.command()
     assert got.score == tuned(budget=9, fixed={**link, "playout": "integral"}).score
+
+
+def test_a_search_of_one_playout_took_the_points_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`advise` took two_layer with the newest packet at 0.174, and it has 0.138 at a fixed delay of 0.1 s."""
+    tried: list[str] = []
+
+    def score(_: Any, points: Any, __: Any) -> list[Score]:
+        tried.extend(point[-1] for point in points)
+        return [Score(1.0 / len(tried), "", 0.0, {}, {}) for _ in points]  # always better, so none ends by itself
+
+    monkeypatch.setattr(_Search, "_run", score)
+    monkeypatch.setattr(_Search, "_stands", lambda *_: True)
+    monkeypatch.setattr(teleop.studies.tune.search, "margin", lambda *_, **__: None)
+    playouts = ("zero", "fixed:0.04")
+    tuned("pp", 1200, fixed={**SHORT, "link": "delay(0.03) | uniform(0.01)"}, playouts=playouts)
+    assert all(tried.count(playout) >= 0.2 * len(tried) for playout in playouts)
