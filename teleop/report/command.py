@@ -13,8 +13,7 @@ from teleop.errors import Refused
 from teleop.live.records.merge import merge, scene_of
 from teleop.live.records.reader import FILE
 from teleop.report.kinds import MOST_FOLDERS, read, run_told, sections_of
-from teleop.report.page import page
-from teleop.report.told import Told
+from teleop.report.page import Told, page
 from teleop.simulation.result import RUNNING
 from teleop.storage.files import read_bytes, replacing
 from teleop.storage.folder import new_folder

@@ -9,8 +9,7 @@ from pathlib import Path
 from teleop.errors import Refused
 from teleop.live.records.merge import load_result
 from teleop.report.of_runs import Run, of_one, of_several
-from teleop.report.page import Section
-from teleop.report.told import Told
+from teleop.report.page import Section, Told
 from teleop.simulation.result import RUNNING, Result, stored_summary
 from teleop.sweeps.pictures.report import PictureRequest, check_run
 from teleop.terminal.run import answer_of, with_plot

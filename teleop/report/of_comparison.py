@@ -10,11 +10,9 @@ from typing import Any
 
 from teleop.errors import Refused, number_of
 from teleop.report import svg
-from teleop.report.markup import Markup, element, facts, table
-from teleop.report.page import Section, heading, made_by
+from teleop.report.markup import STATUS, Markup, element, facts, table
+from teleop.report.page import Section, Told, heading, made_by
 from teleop.report.scatter import Group, Plane, Point, scatter
-from teleop.report.style import STATUS
-from teleop.report.told import Told
 from teleop.scene.axis_labels import SHAPES
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes

@@ -11,7 +11,7 @@ from typing import Any
 from teleop.errors import Refused, number_of
 from teleop.live.records.merge import load_result
 from teleop.report.of_runs import Run, of_parts
-from teleop.report.told import Told
+from teleop.report.page import Told
 from teleop.simulation.result import RUNNING, stored_summary
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes

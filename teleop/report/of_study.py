@@ -11,11 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
-from teleop.report.markup import Markup, element, pairs, table
-from teleop.report.page import Section, cell, heading, made_by, parameters, said, with_unit
+from teleop.report.markup import LINES, Markup, element, pairs, table
+from teleop.report.page import Section, Told, cell, heading, made_by, parameters, said, with_unit
 from teleop.report.scatter import Group, Plane, Point, scatter
-from teleop.report.style import LINES
-from teleop.report.told import Told
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
 from teleop.storage.strict_json import Misshapen, parse

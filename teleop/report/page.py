@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from shlex import join
-from typing import Any
+from typing import Any, NamedTuple
 
-from teleop.report.markup import Markup, element, empty, facts, pairs
-from teleop.report.style import DIGEST, STYLE
+from teleop.report.markup import DIGEST, STYLE, Markup, element, empty, facts, pairs
+from teleop.simulation.result import Result
+from teleop.terminal.answer import Answer
 from teleop.version import __version__
 
 GOOD = ("ok", "done", "feasible")  # what a status is called that nothing is wrong with
@@ -126,3 +128,13 @@ def made_by(document: Mapping[str, Any]) -> list[Markup]:
     if isinstance(versions, Mapping) and versions:
         rows.append(("versions", ", ".join(f"{name} {version}" for name, version in versions.items())))
     return [heading("Made by"), facts(rows)] if rows else []
+
+
+class Told(NamedTuple):
+    """A folder: what the terminal says of it, and either its run or what makes its part of the page."""
+
+    folder: Path
+    answer: Answer
+    result: Result | None = None
+    running: bool = False  # it is of a run or a sweep that goes on: there is no page of it yet
+    section: Callable[[], Section] | None = None

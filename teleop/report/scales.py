@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import ceil, floor, isfinite, log10
 from typing import NamedTuple
 
+from teleop.sweeps.pictures.layout import PlottedKnob, spaced
 from teleop.terminal.table import PREFIX
 
 GREATEST = 1e30  # a value beyond is drawn as one that does not exist: nothing that is measured is as large
@@ -105,3 +106,13 @@ def thousands(peak: float) -> int:
     if not (isfinite(peak) and peak > 0.0):
         return 0
     return max(min(PREFIX), min(floor(log10(peak) / 3.0), max(PREFIX)))
+
+
+def axis_of(knob: PlottedKnob) -> Axis:
+    """The axis of a knob with numbers, spaced as its values are."""
+    return along(knob.values, *spaced(knob.values))
+
+
+def plain(title: str) -> str:
+    """A title without what matplotlib would need before a dollar sign."""
+    return title.replace(r"\$", "$").replace("\n", ", ")

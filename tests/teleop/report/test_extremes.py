@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from teleop.report.extremes import line_of
 from teleop.report.scales import GREATEST
+from teleop.report.svg import line_of
 from teleop.simulation.trace import BLOCK
 
 VALUES = st.floats(allow_nan=True, allow_infinity=True, width=64)
