@@ -12,7 +12,7 @@ from teleop.errors import Refused
 from teleop.simulation.notes import unmet
 from teleop.studies.margin import margin
 from teleop.studies.tune.objective import Score
-from teleop.studies.tune.search import Scored, Tuned, _Search, tune_law
+from teleop.studies.tune.search import LawSearch, Scored, Tuned, tune_law
 
 SHORT: dict[str, Any] = {"k_e": 2000.0, "duration": 2.5}
 
@@ -150,8 +150,8 @@ def test_a_search_of_one_playout_took_the_points_of_the_others(monkeypatch: pyte
         tried.extend(point[-1] for point in points)
         return [Score(1.0 / len(tried), "", 0.0, {}, {}) for _ in points]  # always better, so none ends by itself
 
-    monkeypatch.setattr(_Search, "_run", score)
-    monkeypatch.setattr(_Search, "_stands", lambda *_: True)
+    monkeypatch.setattr(LawSearch, "_run", score)
+    monkeypatch.setattr(LawSearch, "_stands", lambda *_: True)
     monkeypatch.setattr(teleop.studies.tune.search, "margin", lambda *_, **__: None)
     playouts = ("zero", "fixed:0.04")
     tuned("pp", 1200, fixed={**SHORT, "link": "delay(0.03) | uniform(0.01)"}, playouts=playouts)
