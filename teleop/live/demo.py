@@ -7,7 +7,7 @@ import sys
 import time
 from argparse import Namespace
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,26 @@ from teleop.terminal.plotting import asked_formats
 FAREWELL = 2.0  # s for the others, when one has failed, to hear of it
 
 
+@dataclass(frozen=True)
+class EndOptions:
+    """Options of the two ends of a demo. `rate` (Hz): None, the scene's own; `device`, `robot`: None, the simulated.
+
+    `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself.
+    """
+
+    lockstep: bool = False
+    rate: float | None = None
+    spin: bool = False
+    device: str | None = None
+    robot: str | None = None
+
+    def arguments(self, e: str) -> list[str]:
+        """Arguments of the process of the end `e`."""
+        option, name = ("--device", self.device) if e == "m" else ("--robot", self.robot)
+        return [*["--lockstep"] * self.lockstep, *["--spin"] * self.spin,
+                *([] if self.rate is None else ["--rate", repr(self.rate)]), *([] if name is None else [option, name])]
+
+
 def command(args: Namespace) -> Answer:
     """Run the scene live, as three processes, leave its folder, and draw it if asked to; or show it as a page.
 
@@ -50,9 +70,9 @@ def command(args: Namespace) -> Answer:
     from teleop.terminal.run import answer_of, stem, with_plot
 
     formats = asked_formats(args)
-    result = demo(args.scene, knobs_from(args), seed=args.seed, out=args.out, stem=stem(args.scene),
-                  json=args.json, lockstep=args.lockstep, command=args.typed, realtime=args.realtime,
-                  rate=args.rate, spin=args.spin, device=args.device, robot=args.robot)
+    ends = EndOptions(args.lockstep, args.rate, args.spin, args.device, args.robot)
+    result = demo(args.scene, knobs_from(args), ends, seed=args.seed, out=args.out, stem=stem(args.scene),
+                  json=args.json, command=args.typed, realtime=args.realtime)
     answer = answer_of(result, args.typed)
     if result.status == "stopped":  # by a signal: a script that goes on with what the run came to must not
         answer = answer._replace(code=INTERRUPTED)
@@ -60,26 +80,20 @@ def command(args: Namespace) -> Answer:
 
 
 def demo(
-    scene_name: str, knobs: dict[str, str], *, seed: int, out: str | None, stem: str, json: bool, lockstep: bool,
-    command: list[str], realtime: bool = True, rate: float | None = None, spin: bool = False,
-    device: str | None = None, robot: str | None = None,
+    scene_name: str, knobs: dict[str, str], ends: EndOptions, *, seed: int, out: str | None, stem: str, json: bool,
+    command: list[str], realtime: bool = True,
 ) -> Result:
     """Run a scene live on loopback and write its folder, `out` or runs/STEM-N. Raises `Refused`.
 
-    `lockstep`: the ends step by packets, without a channel: each applies the schedule of the link itself. `rate` (Hz)
-    and `spin` are those of both ends, `realtime` (ask for real-time scheduling) is of all three processes. `device` and
-    `robot` name what stands at the master's and at the slave's end; None: the simulated ones.
+    `realtime`: all three processes ask for real-time scheduling.
     """
-    scene = both_ends(load_scene(scene_name, **(knobs if lockstep else live_knobs(scene_name, knobs))))
-    ticks_of(scene, rate, lockstep=lockstep, spin=spin)  # refused here, before a process is started
+    scene = both_ends(load_scene(scene_name, **(knobs if ends.lockstep else live_knobs(scene_name, knobs))))
+    ticks_of(scene, ends.rate, lockstep=ends.lockstep, spin=ends.spin)  # refused here, before a process is started
     options = arguments_of(scene_name, seed, knobs, realtime=realtime)
-    ticking = ["--lockstep"] * lockstep + ["--spin"] * spin + ([] if rate is None else ["--rate", repr(rate)])
-    at_ends = {"master": [] if device is None else ["--device", device],
-               "slave": [] if robot is None else ["--robot", robot]}
     with output.live(), Interrupt() as interrupt, fresh_folder(out, stem) as claimed:
         folder = claimed.path
         try:
-            channel = asyncio.run(_conduct(scene, options, folder, interrupt, ticking, at_ends, show=not json))
+            channel = asyncio.run(_conduct(scene, options, folder, interrupt, ends, show=not json))
         except Refused as refused:
             raise Refused(f"{refused}; what was recorded is in {folder}" if _ran(folder) else str(refused)) from refused
         finally:
@@ -93,10 +107,9 @@ def demo(
 
 
 async def _conduct(
-    scene: Scene, options: list[str], out: Path, interrupt: Interrupt, ticking: list[str],
-    at_ends: dict[str, list[str]], *, show: bool,
+    scene: Scene, options: list[str], out: Path, interrupt: Interrupt, ends: EndOptions, *, show: bool
 ) -> dict[str, Any]:
-    """Start the processes, watch them to their end; what the channel counted. `ticking`: options of the ends alone."""
+    """Start the processes, watch them to their end; returns the counts of the channel."""
     live: dict[str, dict[str, Any]] = {}
     children: list[Child] = []
     watches: list[asyncio.Task[tuple[int, str]]] = []
@@ -125,16 +138,14 @@ async def _conduct(
 
     beside = [asyncio.create_task(pass_on()), *([asyncio.create_task(_line(scene, live))] if show else [])]
     try:
-        slave = await start("slave", "--listen", "127.0.0.1:0", "--out", str(out / "slave"), *ticking,
-                            *at_ends["slave"])
+        slave = await start("slave", "--listen", "127.0.0.1:0", "--out", str(out / "slave"), *ends.arguments("s"))
         port = await slave.port()
         if show and slave.realtime is not None:  # all three ask for the same, and may have the same
             print(sentence(slave.realtime), flush=True)
-        if "--lockstep" not in ticking:
+        if not ends.lockstep:
             channel = await start("channel", "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}")
             port = await channel.port()
-        await start("master", "--peer", f"127.0.0.1:{port}", "--out", str(out / "master"), *ticking,
-                    *at_ends["master"])
+        await start("master", "--peer", f"127.0.0.1:{port}", "--out", str(out / "master"), *ends.arguments("m"))
         await _until_over(children, watches)
     except Refused:
         if interrupt.name is None or _ran(out):

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from teleop.scene.scene import Scene
 
 _NONE: Mapping[str, Any] = MappingProxyType({})
+_DT: Mapping[str, str] = MappingProxyType({"dt": "s"})
 
 
 class Answer(NamedTuple):
@@ -95,10 +96,11 @@ class WithUnit(NamedTuple):
     unit: str
 
 
-def with_units(body: Mapping[str, Any]) -> dict[str, Any]:
+def with_units(body: Mapping[str, Any], head: Mapping[str, str] = _DT) -> dict[str, Any]:
     """The body of a document that begins with `scene_head`: plain values, and their `units` by key.
 
-    Where values of one key have different units, each unit stands under the path of its value.
+    Where values of one key have different units, each unit stands under the path of its value. `head`: units of values
+    before the body.
 
     >>> with_units({"delay": WithUnit(3, "ticks"), "limit": {"delay": WithUnit(0.1, "s")}})
     {'units': {'dt': 's', 'delay': 'ticks', 'limit.delay': 's'}, 'delay': 3, 'limit': {'delay': 0.1}}
@@ -115,7 +117,7 @@ def with_units(body: Mapping[str, Any]) -> dict[str, Any]:
         return [without_units(each, path) for each in value] if isinstance(value, list) else value
 
     values = without_units(body)
-    units = {"dt": "s"}
+    units = dict(head)
     for key, by_path in by_key.items():
         units |= by_path if len({*by_path.values()}) > 1 else {key: next(iter(by_path.values()))}
     return {"units": units, **values}

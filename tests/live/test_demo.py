@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from teleop import load_result
-from teleop.live.demo import demo
+from teleop.live.demo import EndOptions, demo
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
@@ -92,7 +92,8 @@ def test_a_demo_ends_with_a_table_and_a_folder(command: Start, tmp_path: Path) -
 ])
 def test_a_stepped_demo_is_the_virtual_run_to_the_bit(knobs: dict[str, str], tmp_path: Path) -> None:
     name, given = knobs["scene"], {key: value for key, value in knobs.items() if key != "scene"}
-    live = demo(name, given, seed=5, out=str(tmp_path / "out"), stem="demo", json=True, lockstep=True, command=["demo"])
+    live = demo(name, given, EndOptions(lockstep=True), seed=5, out=str(tmp_path / "out"), stem="demo", json=True,
+                command=["demo"])
     virtual = run(load_scene(name, **given), seed=5)
     assert (live.mode, live.status, live.sentence) == ("lockstep", virtual.status, virtual.sentence)
     assert list(live.trace) == list(virtual.trace)

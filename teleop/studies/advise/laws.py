@@ -20,7 +20,7 @@ import numpy as np
 
 from teleop.errors import Refused
 from teleop.knob import Declared, knobs_of_fields
-from teleop.law.offers import claims_of, seed_energy
+from teleop.law.offers import CONDITIONS, claims_of, seed_energy
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.notes import unmet
@@ -153,6 +153,19 @@ def gains(law: LawAdvice) -> str:
         texts.append(f"{name.removeprefix('law.')} = {value:g}{' ' + knob.unit if knob.unit not in ('', '1') else ''}")
     playout = law.tuned.best.get("playout")
     return ", ".join(texts) + (f", playout {playout}" if playout else "")
+
+
+def _over(ledger: str, claim: str) -> str:
+    """The links of a claim. How waves are played matters to the ledger of waves alone."""
+    return CONDITIONS[claim] if ledger == "E_link" else CONDITIONS[claim].partition(",")[0]
+
+
+def promise(law: LawAdvice) -> str:
+    """The law's claims, which hold for every hand and environment, in words."""
+    if not law.claims:
+        return "nothing of energy: what holds is what was run here"
+    held = "; ".join(f"{ledger} stays above zero {_over(ledger, claim)}" for ledger, claim in law.claims.items())
+    return held + (f", but for {1e3 * law.seed_energy:.3g} mJ to begin with" if law.seed_energy > 0.0 else "")
 
 
 class LawJob(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from csv import writer
 from functools import partial
 from importlib.util import find_spec
@@ -16,7 +16,7 @@ import numpy as np
 
 from teleop.errors import Refused, enumerated, number, number_of
 from teleop.law import two_port_laws
-from teleop.law.offers import CONDITIONS
+from teleop.scene.axis_labels import labels_of
 from teleop.scene.knobs import check_text, knobs_of
 from teleop.scene.library import scene_function
 from teleop.scene.loading import load_scene
@@ -26,15 +26,15 @@ from teleop.simulation.result import head, parameters
 from teleop.simulation.virtual import run
 from teleop.storage.files import replacing_text
 from teleop.studies.advise.advice import Advice, advise
-from teleop.studies.advise.laws import MARGIN, LawAdvice, gains, link_text
+from teleop.studies.advise.laws import MARGIN, LawAdvice, gains, link_text, promise
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, YIELDS, Score
+from teleop.studies.tune.report import body as tuned_body
 from teleop.studies.tune.report import csv_cell, figure, linear_text
-from teleop.studies.tune.report import document as tuned_document
 from teleop.studies.tune.search import Tuned
 from teleop.sweeps.grid import split_list
 from teleop.sweeps.runner import cores
 from teleop.sweeps.store import DEFINITION
-from teleop.terminal.answer import Answer, Task, command_of
+from teleop.terminal.answer import Answer, Task, WithUnit, command_of, with_units
 from teleop.terminal.options import INTERRUPTED, knobs_from
 from teleop.terminal.plotting import (
     BLUE,
@@ -270,19 +270,6 @@ def _margin(law: LawAdvice) -> str:
     return ", and ".join(bounds)
 
 
-def _over(ledger: str, claim: str) -> str:
-    """The links of a claim. How waves are played matters to the ledger of waves alone."""
-    return CONDITIONS[claim] if ledger == "E_link" else CONDITIONS[claim].partition(",")[0]
-
-
-def promise(law: LawAdvice) -> str:
-    """The law's claims, which hold for every hand and environment, in words."""
-    if not law.claims:
-        return "nothing of energy: what holds is what was run here"
-    held = "; ".join(f"{ledger} stays above zero {_over(ledger, claim)}" for ledger, claim in law.claims.items())
-    return held + (f", but for {1e3 * law.seed_energy:.3g} mJ to begin with" if law.seed_energy > 0.0 else "")
-
-
 def _table(advice: Advice) -> str:
     lines: list[Sequence[str]] = [("law", "objective +- sd", "tracking", "drag", "on the wall", "on the hand",
                                    "feels like", "jerk", "keeps energy", "gains")]
@@ -367,33 +354,45 @@ def _what_to_do(advice: Advice) -> str:
 
 def document(advice: Advice, typed: Sequence[str], seconds: float) -> dict[str, Any]:
     """The advice as JSON."""
-    best = advice.best
+    best, unit = advice.best, labels_of(advice.scene).unit
+    tuned = None if best is None else best.tuned
     sentence = "no law keeps the constraints" if best is None else f"take {best.law} with {gains(best)}"
+    force = {name: unit("N") for name in ("tick", "message", "within")}
     return {
         **head(status="done" if best is not None else "infeasible", sentence=sentence, scene=advice.scene.name,
                mode="advise", parameters=parameters(advice.scene), seed=None, command=typed,
                dt=advice.scene.dt_ns / 1e9),
-        "link": {way: each._asdict() for way, each in zip(("fwd", "bwd"), advice.ways, strict=True)},
-        "objective": advice.objective, "budget": advice.budget, "rows": advice.rows, "seconds": seconds,
-        "laws": [_document_of(law, typed) for law in advice.laws], "avoid": avoid(advice),
-        "run": None if best is None or best.tuned is None else best.tuned.command(),
-        "live": None if best is None or best.tuned is None else dict(zip(
-            ("master", "slave"), best.tuned.live(LIVE), strict=True)),
-        "jumps": None if advice.jumps is None else advice.jumps._asdict(), "seconds_told": advice.predicted,
+        **with_units({
+            "link": {way: _in_units(each._asdict(), {"lost": "1"}, "s")
+                     for way, each in zip(("fwd", "bwd"), advice.ways, strict=True)},
+            "objective": advice.objective, "budget": advice.budget, "rows": advice.rows,
+            "seconds": WithUnit(seconds, "s"),
+            "laws": [_law_document(law, unit) for law in advice.laws], "avoid": avoid(advice),
+            "run": None if tuned is None else tuned.command(),
+            "live": None if tuned is None else dict(zip(("master", "slave"), tuned.live(LIVE), strict=True)),
+            "jumps": None if advice.jumps is None else _in_units(advice.jumps._asdict(), force),
+            "seconds_told": WithUnit(advice.predicted, "s"),
+        }),
     }
 
 
-def _document_of(law: LawAdvice, typed: Sequence[str]) -> dict[str, Any]:
-    answer: dict[str, Any] = {
-        "law": law.law, "refused": law.refused, "claims": dict(law.claims), "seed_energy": law.seed_energy,
-        "conditions_broken": list(law.broken), "deviation": law.deviation, "spread": law.spread,
-        "margins": None if law.margins is None else law.margins._asdict(),
+def _law_document(law: LawAdvice, unit: Callable[[str], str]) -> dict[str, Any]:
+    result: dict[str, Any] = {
+        "law": law.law, "refused": law.refused, "claims": dict(law.claims),
+        "seed_energy": WithUnit(law.seed_energy, "J"), "conditions_broken": list(law.broken),
+        "deviation": WithUnit(law.deviation, "1"), "spread": WithUnit(law.spread, "1"),
+        "margins": law.margins and _in_units(law.margins._asdict(), {"wall": unit("N/m"), "delay": "s"}),
     }
     if law.tuned is not None:
-        whole = tuned_document(law.tuned, typed)
-        answer |= {key: whole[key] for key in (
+        body = tuned_body(law.tuned)
+        result |= {key: body[key] for key in (
             "best", "value", "broken", "terms", "figures", "rows", "points", "engine", "run", "at_edge")}
-    return answer
+        result["best"] = dict(law.tuned.best)  # parameters of one name have another unit in another law
+    return result
+
+
+def _in_units(values: Mapping[str, Any], units: Mapping[str, str], unit: str = "") -> dict[str, WithUnit]:
+    return {name: WithUnit(value, units.get(name, unit)) for name, value in values.items()}
 
 
 def write_page(page: str, path: Path) -> None:

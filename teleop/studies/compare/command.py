@@ -20,7 +20,7 @@ from itertools import groupby
 from math import isnan
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import Any, NamedTuple, TextIO
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused, enumerated, number_of
 from teleop.law.offers import seed_energy
@@ -43,11 +43,11 @@ from teleop.studies.margin import margin
 from teleop.studies.parallel import in_parallel
 from teleop.sweeps.grid import plain, split_list
 from teleop.sweeps.runner import cores
-from teleop.sweeps.store import Store
-from teleop.terminal.answer import Answer
+from teleop.sweeps.store import DEFINITION, Store
+from teleop.terminal.answer import Answer, WithUnit, with_units
 from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.plotting import asked_formats
-from teleop.terminal.progress import RowsProgress, shown_on
+from teleop.terminal.progress import RowsProgress, shown_for
 from teleop.terminal.table import duration
 
 WIDE = 120  # columns of what is no terminal
@@ -78,7 +78,7 @@ def command(args: Namespace) -> Answer:
     workers = args.workers or cores()
     cases, notes = cases_of(comparison, where), list[str]()
     if args.tuned is not None:
-        cases, notes = _tuned_cases(comparison, where, args.tuned, workers, stream, args.seconds)
+        cases, notes = _tuned_cases(comparison, where, args, workers)
     total = sum(len(case.seeds) for case in cases)
     folder = Path(args.out) if args.out is not None else Path("runs") / comparison.name
     line = None if stream is None else RowsProgress(stream)
@@ -87,7 +87,7 @@ def command(args: Namespace) -> Answer:
         carry_out(cases, folder, workers=workers,
                   show=lambda done, of: None if line is None else line.show(done, of, args.seconds()))
     except KeyboardInterrupt:
-        if not (folder / "sweep.json").is_file():
+        if not (folder / DEFINITION).is_file():
             raise  # nothing was begun
         interrupted = True
     finally:
@@ -95,8 +95,9 @@ def command(args: Namespace) -> Answer:
             line.end()
     rows = sorted(Store.look(folder).rows(), key=lambda row: row["row"])
     seconds = args.seconds() - began
-    units = list(dict.fromkeys(unit for case in cases for unit in case.units))
-    verdicts = judge_laws(rows, [law.name for law in comparison.laws], units)
+    axis_units = list(dict.fromkeys(unit for case in cases for unit in case.units))
+    units = figure_units(AxisLabels(units=tuple(axis_units)))
+    verdicts = judge_laws(rows, [law.name for law in comparison.laws], axis_units)
     ranked = rankings(verdicts)
     counts = (number_of(len(comparison.laws), "law"), number_of(len(comparison.links), "link"),
               number_of(len(comparison.environments), "environment"), number_of(len(comparison.seeds), "seed"))
@@ -104,13 +105,14 @@ def command(args: Namespace) -> Answer:
                f"{duration(seconds)}")
     summary = {
         "status": "interrupted" if interrupted else "done", "sentence": f"{len(rows)} of {total} rows", "scene": None,
-        "mode": "compare", "versions": versions(), "command": list(args.typed), "seconds": seconds, "file": str(path),
+        "mode": "compare", "versions": versions(), "command": list(args.typed), "file": str(path),
         "rows": total, "done": len(rows), "seeds": list(comparison.seeds), "path": str(folder),
         "conditions": [{"law": case.law, "link": case.link, "environment": case.environment,
                         "sentences": list(case.conditions)} for case in cases if case.conditions],
-        "axis_units": units, "tuned": args.tuned, "notes": notes, **document(verdicts, ranked),
+        "axis_units": axis_units, "tuned": args.tuned, "notes": notes,
+        **with_units({"seconds": WithUnit(seconds, "s"), **document(verdicts, ranked, units)}, head={}),
     }
-    write_csv(folder / CSV, rows, cases, AxisLabels(units=tuple(units)))
+    write_csv(folder / CSV, rows, cases, units)
     write_document(folder / SUMMARY, summary)
     answer = Answer(text(verdicts, ranked, cases, heading, notes, _width()), summary,
                     INTERRUPTED if interrupted else DONE)
@@ -124,13 +126,11 @@ def command(args: Namespace) -> Answer:
                                 f"written to {folder}")
 
 
-def _tuned_cases(comparison: Comparison, where: str, budget: int, workers: int, stream: TextIO | None,
-                 clock: Callable[[], float]) -> tuple[list[Case], list[str]]:
-    """The cases with the parameters of searches of so many rows, and a note on the laws that kept no constraint."""
-    count = len(comparison.laws) * len(comparison.links)
-    with shown_on(stream, clock, float(count)) as show:
-        parameters = tune_all(comparison, budget, workers=workers, show=lambda done, of: show(
-            float(done), f"{done} of {number_of(of, 'search', 'searches')} of {number_of(budget, 'row')}"))
+def _tuned_cases(comparison: Comparison, where: str, args: Namespace, workers: int) -> tuple[list[Case], list[str]]:
+    """The cases with the parameters of searches, and a note on the laws that kept no constraint."""
+    with shown_for(args, float(len(comparison.laws) * len(comparison.links))) as show:
+        parameters = tune_all(comparison, args.tuned, workers=workers, show=lambda done, of: show(
+            float(done), f"{done} of {number_of(of, 'search', 'searches')} of {number_of(args.tuned, 'row')}"))
     cases = cases_of(comparison, where, {key: each.knobs for key, each in parameters.items()})
     notes = []
     for law in comparison.laws:
@@ -147,15 +147,16 @@ def _width() -> int:
     return get_terminal_size().columns if sys.stdout.isatty() else WIDE
 
 
-def write_csv(path: Path, rows: Sequence[dict[str, Any]], cases: Sequence[Case], labels: AxisLabels) -> None:
-    """Write every row: its names, seed, ending, figures in SI units, and the command that runs it again.
+def figure_units(labels: AxisLabels) -> dict[str, str]:
+    """The SI units of the figures of rows; empty for a figure over axes in m and in rad."""
+    return {name: labels.unit(unit) for name, unit in [
+        *UNITS.items(), *((key, unit) for key, (unit, _) in ROW_FIGURES.items())]}
 
-    A figure over axes in m and in rad has no unit.
-    """
+
+def write_csv(path: Path, rows: Sequence[dict[str, Any]], cases: Sequence[Case], units: Mapping[str, str]) -> None:
+    """Write every row: its names, seed, ending, figures in SI units, and the command that runs it again."""
     commands = {number: case.command(seed) for number, case, seed in number_rows(cases)}
     some = [name for name in (*METRICS, *ROW_FIGURES) if any(name in row for row in rows)]
-    units = {name: labels.unit(unit) for name, unit in [
-        *UNITS.items(), *((key, unit) for key, (unit, _) in ROW_FIGURES.items())]}
     with replacing_text(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["law", "link", "environment", "seed", "status", "ticks",

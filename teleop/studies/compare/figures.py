@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from teleop.errors import enumerated, number_of
 from teleop.scene.axis_labels import TURNING, AxisLabels
 from teleop.studies.compare.cases import Case
+from teleop.terminal.answer import WithUnit
 from teleop.terminal.table import columns, printable
 
 LOW, ONE, MORE, NEITHER = "low", "one", "more", ""  # the value that is best: the least, 1, the greatest, none
@@ -402,14 +403,15 @@ def _wrap(line: str, width: int, indent: int) -> list[str]:
     return wrap(printable(line), max(width, NARROW), subsequent_indent=" " * indent, break_on_hyphens=False)
 
 
-def document(verdicts: Sequence[LawVerdict], ranked: Sequence[Ranking]) -> dict[str, object]:
+def document(verdicts: Sequence[LawVerdict], ranked: Sequence[Ranking], units: Mapping[str, str]) -> dict[str, object]:
     """The verdicts and rankings as JSON; a figure that no run has is null, one with half of its runs failed "failed".
 
+    `units`: SI units of the figures by key.
     A spread is the range of the distance from the best value, see `distance`.
     """
     return {
         "laws": [{"law": each.law, "cases": each.cases, "ended": dict(each.ended),
-                  "figures": {key: _figure_document(figure) for key, figure in each.figures.items()}}
+                  "figures": {key: _figure_document(figure, units[key]) for key, figure in each.figures.items()}}
                  for each in verdicts],
         "columns": {column.key: {"unit": column.unit, "factor": column.factor, "better": column.better,
                                  "meaning": column.meaning} for column in columns_of(verdicts).values()},
@@ -419,7 +421,8 @@ def document(verdicts: Sequence[LawVerdict], ranked: Sequence[Ranking]) -> dict[
     }
 
 
-def _figure_document(figure: LawFigure) -> Mapping[str, object]:
+def _figure_document(figure: LawFigure, unit: str) -> Mapping[str, object]:
     if figure.failed or isnan(figure.value):
-        return {"value": "failed" if figure.failed else None, "spread": None}
-    return {"value": figure.value if isfinite(figure.value) else str(figure.value), "spread": figure.spread}
+        return {"value": WithUnit("failed" if figure.failed else None, unit), "spread": None}
+    return {"value": WithUnit(figure.value if isfinite(figure.value) else str(figure.value), unit),
+            "spread": figure.spread}

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import number_of
+from teleop.knob import knobs_of_fields
+from teleop.scene.axis_labels import labels_of
 from teleop.scene.loading import load_scene
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.notes import unmet
@@ -20,7 +22,7 @@ from teleop.storage.files import replacing_text
 from teleop.studies.margin import Margin
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, Score
 from teleop.studies.tune.search import Tuned, tune_law
-from teleop.terminal.answer import Answer, Task, command_of, finite
+from teleop.terminal.answer import Answer, Task, WithUnit, command_of, finite, with_units
 from teleop.terminal.options import knobs_from
 from teleop.terminal.plotting import BLACK, BLUE, ORANGE, PALE, grid_lines, literal, new_figure, save
 from teleop.terminal.progress import shown_for
@@ -150,27 +152,42 @@ def document(tuned: Tuned, typed: Sequence[str]) -> dict[str, Any]:
     return {
         **head(status="done" if tuned.feasible else "infeasible", sentence=sentence, scene=tuned.scene, mode="tune",
                parameters=tuned.settings, seed=tuned.seed, command=typed, dt=None),
-        "law": tuned.law, "objective": tuned.objective, "says": OBJECTIVES[tuned.objective].sentence,
-        "margin": tuned.margin, "budget": tuned.budget, "rows": tuned.rows, "points": len(tuned.tried),
-        "engine": tuned.engine,
-        "best": dict(tuned.best), **_document_of(tuned.score),
-        "own": None if tuned.default is None else _document_of(tuned.default),
-        "ranges": {name: [span.low, span.high] for name, span in tuned.ranges.searched.items()},
-        "linear": None if tuned.linear is None else {
-            **tuned.linear._asdict(), "gain": finite(tuned.linear.gain), "delay": finite(tuned.linear.delay)},
-        "conditions": unmet_conditions(tuned), "not_turned": dict(tuned.ranges.held), "at_edge": at_edge(tuned),
-        "rod": tuned.baseline._asdict(),
-        "front": [{**values, **_document_of(score)} for values, score in tuned.front()],
-        "run": tuned.command(),
+        **with_units(body(tuned)),
     }
 
 
-def _document_of(score: Score) -> dict[str, Any]:
-    return {"value": finite(score.value), "broken": score.broken,
-            "terms": {name: finite(value) for name, value in score.terms.items()},
-            "values": [finite(value) for value in score.values],
-            "figures": {task: {name: finite(value) for name, value in row.items()}
-                        for task, row in score.figures.items()}}
+def body(tuned: Tuned) -> dict[str, Any]:
+    """The search in a document, with the units of its values."""
+    scene = load_scene(tuned.scene, **tuned.knobs)
+    unit = labels_of(scene).unit
+    units = {f"law.{name}": unit(each.knob.unit) for name, each in knobs_of_fields(type(scene.laws[0])).items()}
+
+    def point(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: WithUnit(value, units[name]) if name in units else value for name, value in values.items()}
+
+    def scored(score: Score) -> dict[str, Any]:
+        return {"value": WithUnit(finite(score.value), "1"), "broken": score.broken,
+                "terms": WithUnit({name: finite(value) for name, value in score.terms.items()}, "1"),
+                "values": WithUnit([finite(value) for value in score.values], "1"),
+                "figures": {task: {name: WithUnit(finite(value), unit(UNITS[name])) for name, value in row.items()}
+                            for task, row in score.figures.items()}}
+
+    return {
+        "law": tuned.law, "objective": tuned.objective, "says": OBJECTIVES[tuned.objective].sentence,
+        "margin": WithUnit(tuned.margin, "1"), "budget": tuned.budget, "rows": tuned.rows, "points": len(tuned.tried),
+        "engine": tuned.engine,
+        "best": point(tuned.best), **scored(tuned.score),
+        "own": None if tuned.default is None else scored(tuned.default),
+        "ranges": point({name: [span.low, span.high] for name, span in tuned.ranges.searched.items()}),
+        "linear": None if tuned.linear is None else {
+            **tuned.linear._asdict(), "gain": WithUnit(finite(tuned.linear.gain), "1"),
+            "delay": WithUnit(finite(tuned.linear.delay), "s")},
+        "conditions": unmet_conditions(tuned), "not_turned": dict(tuned.ranges.held), "at_edge": at_edge(tuned),
+        "rod": {name: WithUnit(value, unit({"moved": "m", "fastest": "m/s"}.get(name, "N")))
+                for name, value in tuned.baseline._asdict().items()},
+        "front": [{**point(values), **scored(score)} for values, score in tuned.front()],
+        "run": tuned.command(),
+    }
 
 
 def write_points(names: Sequence[str], points: Iterable[tuple[Mapping[str, Any], Score]], path: Path) -> None:

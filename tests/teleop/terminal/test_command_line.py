@@ -19,6 +19,7 @@ import teleop.terminal.plotting
 from scenarios.__main__ import main as console_entry
 from teleop import load_result, load_scene, run
 from teleop.__main__ import main
+from teleop.live.demo import EndOptions
 from teleop.scene.library import ROOT
 from teleop.storage.folder import claim
 from teleop.terminal.commands import COMMANDS, parser
@@ -174,8 +175,8 @@ class TestDemo:
     ) -> None:
         asked: list[Any] = []
 
-        def demo(scene_name: str, knobs: dict[str, str], **rest: Any) -> Any:
-            asked.append((scene_name, knobs, rest))
+        def demo(scene_name: str, knobs: dict[str, str], ends: EndOptions, **rest: Any) -> Any:
+            asked.append((scene_name, knobs, ends, rest))
             folder = claim(rest["out"], rest["stem"]).path
             return replace(run(load_scene(scene_name, duration=0.05)), mode="lockstep", path=folder)
 
@@ -187,10 +188,11 @@ class TestDemo:
         assert answer.out.endswith("written to runs/hard_wall-1\n")
         command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep", "--robot",
                    "csv:a.csv"]
-        rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "lockstep": True, "command": command,
-                "realtime": True, "rate": None, "spin": False, "device": None, "robot": "csv:a.csv"}
+        rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "command": command,
+                "realtime": True}
         assert not Path("runs/hard_wall-1/plot.png").exists()
-        assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, rest)]
+        ends = EndOptions(lockstep=True, robot="csv:a.csv")
+        assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, ends, rest)]
         if find_spec("matplotlib"):
             assert typed("demo", "--plot").out.endswith("\nplot: runs/hard_wall-2/plot.png\n")
 
