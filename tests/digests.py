@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from argparse import ArgumentParser
@@ -108,7 +109,7 @@ def of_tick(scene: str, knobs: dict[str, Any]) -> str:
 def of_command(line: str) -> str:
     """That of what a command prints."""
     with TemporaryDirectory() as folder:
-        done = subprocess.run(["sh", "-c", f"exec {sys.executable} -m teleop {line}"], cwd=folder, text=True,
+        done = subprocess.run([sys.executable, "-m", "teleop", *shlex.split(line)], cwd=folder, text=True,
                               capture_output=True, check=False)
     try:
         return digest(str(done.returncode), json.dumps(without_times(json.loads(done.stdout)), sort_keys=True))

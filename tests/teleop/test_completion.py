@@ -37,7 +37,7 @@ echo "TYPED<$*>"
 def at_a_terminal(shell: str, script: str, folder: Path, keys: str) -> str:
     """Return the words that `teleop` gets of a person at a terminal of `shell` who types `keys` and a return."""
     options, setting_up = START[shell]
-    words = [program(shell), *options]
+    interactive = [program(shell), *options]
     (folder / "script").write_text(script)
     (folder / "bin").mkdir()
     command = folder / "bin" / "teleop"
@@ -45,7 +45,7 @@ def at_a_terminal(shell: str, script: str, folder: Path, keys: str) -> str:
     command.chmod(0o755)
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
-        words, cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
+        interactive, cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
         preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509 - without a terminal of its own it leaves
         env={"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "HOME": str(folder / "bin"), "TERM": "xterm",
              "LC_ALL": "C.UTF-8", "PS1": "$ ", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
