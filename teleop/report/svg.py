@@ -16,7 +16,6 @@ from teleop.simulation.trace import blocks
 
 if TYPE_CHECKING:
     from teleop.report.scales import Axis
-    from teleop.report.svg import Line
 
 WIDTH = 720  # of a figure
 LEFT, RIGHT, BETWEEN, TOP, BOTTOM = 52, 12, 20, 6, 17  # around and between panels

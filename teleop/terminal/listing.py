@@ -206,8 +206,8 @@ def _aligned(rows: Rows, *, heading: bool = True) -> str:
     cells = (["" if cell is None else str(cell) for cell in row.values()] for row in rows)
     lines = [[*rows[0]], *cells][0 if heading else 1:]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    rows = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
-    return "\n".join(f"  {line}".rstrip() for line in rows)
+    table = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return "\n".join(f"  {line}".rstrip() for line in table)
 
 
 def _kind(hint: Any) -> str:

@@ -151,7 +151,7 @@ def test_a_search_of_one_playout_took_the_points_of_the_others(monkeypatch: pyte
         return [Score(1.0 / len(tried), "", 0.0, {}, {}) for _ in points]  # always better, so none ends by itself
 
     monkeypatch.setattr(LawSearch, "_run", score)
-    monkeypatch.setattr(LawSearch, "_stands", lambda *_: True)
+    monkeypatch.setattr(LawSearch, "_is_stable", lambda *_: True)
     monkeypatch.setattr(teleop.studies.tune.search, "margin", lambda *_, **__: None)
     playouts = ("zero", "fixed:0.04")
     tuned("pp", 1200, fixed={**SHORT, "link": "delay(0.03) | uniform(0.01)"}, playouts=playouts)
