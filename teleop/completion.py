@@ -39,7 +39,7 @@ def command(args: Namespace) -> Answer:
     from teleop.terminal.answer import Answer
 
     try:
-        from argcomplete import shellcode
+        from argcomplete.shell_integration import shellcode
     except ImportError:
         raise Refused("the completion needs argcomplete; install it with: pip install 'bilateral-teleop[completion]'"
                       ) from None
@@ -50,13 +50,14 @@ def command(args: Namespace) -> Answer:
 
 def complete(parser: ArgumentParser) -> None:
     """Answer a shell that asks for completions of the command line in its environment; then the process ends."""
-    from argcomplete import CompletionFinder
+    from argcomplete.completers import SuppressCompleter
+    from argcomplete.finders import CompletionFinder
 
     for name, each in commands_of(parser).items():
         for action in each._actions:
             if (words := completer_of(name, action)) is not None:
                 action.completer = words  # type: ignore[attr-defined]  # where argcomplete looks
-    CompletionFinder()(parser, always_complete_options="long", default_completer=lambda **_: ())
+    CompletionFinder()(parser, always_complete_options="long", default_completer=SuppressCompleter())
 
 
 def commands_of(parser: ArgumentParser) -> dict[str, ArgumentParser]:
@@ -103,6 +104,7 @@ def settings(prefix: str, parsed_args: Namespace, **_: Any) -> Words:
     name, equals, _value = prefix.partition("=")
     if not equals:
         return {f"{knob}=": _meaning(one) for knob, one in knobs(parsed_args).items()}
+    values: Words
     if name == "law":
         values = names()["laws"]
     elif name == "playout":
