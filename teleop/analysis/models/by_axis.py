@@ -34,16 +34,16 @@ def couples(scene: Scene) -> bool:
 
 def alike(scene: Scene) -> list[Alike]:
     """The axes of a scene, those together whose parts are equal; a hand counts by what it is and not by its motion."""
-    found: list[tuple[tuple[Any, ...], int, list[str]]] = []
+    groups: list[tuple[tuple[Any, ...], int, list[str]]] = []
     every = {name: scene.per_axis(name) for name in PER_AXIS}
     for i, name in enumerate(scene.axis_names):
         parts = tuple([_grip(every[part][i]) if part == "hand" else every[part][i] for part in PER_AXIS])
-        same = next((names for own, _, names in found if own == parts), None)
+        same = next((names for others, _, names in groups if others == parts), None)
         if same is None:
-            found.append((parts, i, [name]))
+            groups.append((parts, i, [name]))
         else:
             same.append(name)
-    return [Alike(replace(on_axis(scene, i), name=scene.name), tuple(names)) for _, i, names in found]
+    return [Alike(replace(on_axis(scene, i), name=scene.name), tuple(names)) for _, i, names in groups]
 
 
 def coupling_law(scene: Scene) -> str:

@@ -17,7 +17,6 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models.by_axis import alike
-from teleop.analysis.models.curve import imaginary_axis
 from teleop.analysis.models.linear import (
     StateSpace,
     about_rest,
@@ -27,7 +26,7 @@ from teleop.analysis.models.linear import (
     refuse_nonlinear_parts,
     with_linear_law,
 )
-from teleop.analysis.models.loop import Crossing, Loop, open_poles
+from teleop.analysis.models.loop import Crossing, Loop, imaginary_axis, open_poles
 from teleop.errors import Refused
 from teleop.law import At, law_name, reads, start_at
 from teleop.scene.scene import Scene
@@ -59,7 +58,7 @@ def continuous(scene: Scene) -> Continuous:
     """
     scene = about_rest(with_linear_law(scene))
     refuse_nonlinear_parts(scene)
-    margins = [_margin(own) for own, _ in alike(scene)]
+    margins = [_margin(single) for single, _ in alike(scene)]
     return min(margins, key=lambda m: (m.stable_without_delay, m.round_trip is None, m.round_trip or 0.0))
 
 
@@ -137,14 +136,14 @@ def _end(scene: Scene, e: str, *, mass: float, damping: float, k: float, push: f
     law, states, inputs = law_limit(scene, e)
     n = 2 + (bandwidth is not None) + states
 
-    def respond(given: Any) -> list[float]:
-        x, v = given[0], given[1]
-        own, rx = given[n - states:n], given[n:]
+    def respond(point: Any) -> list[float]:
+        x, v = point[0], point[1]
+        state, rx = point[n - states:n], point[n:]
         spring, damper, inertia = sensor
         still = spring * x + damper * v + inertia * (damping * v + k * x)  # the sensor's reading without the force
         through = -inertia * push
-        touch = given[2] if bandwidth is not None else 0.0
-        answer = law @ np.array([*own, x, v, touch, *rx])
+        touch = point[2] if bandwidth is not None else 0.0
+        answer = law @ np.array([*state, x, v, touch, *rx])
         f = answer[states]
         if bandwidth is None:  # the sensor reads the force that its reading makes
             loop = law[states, states + 2] * through
@@ -157,12 +156,12 @@ def _end(scene: Scene, e: str, *, mass: float, damping: float, k: float, push: f
         seen = [] if bandwidth is None else [bandwidth * (still + through * f - touch)]
         return [v, a, *seen, *answer[:states], *answer[states + 1:]]
 
-    found = np.array([respond(row) for row in np.eye(n + inputs)]).T
-    return StateSpace(found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:])
+    response = np.array([respond(row) for row in np.eye(n + inputs)]).T
+    return StateSpace(response[:n, :n], response[:n, n:], response[n:, :n], response[n:, n:])
 
 
 def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
-    """One end of the law for a tick of zero: from (state, x, v, f, message) to (state', force, message).
+    """Compute one end of the law for a tick of zero: from (state, x, v, f, message) to (state', force, message).
 
     Of its state that which something depends on: what is read after ticks that were left out alone has no part in it.
     """
@@ -179,23 +178,23 @@ def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
     states, inputs = len(sample), len(message)
 
     def short(dt: float) -> Matrix:
-        def respond(given: Any) -> list[float]:
-            take = iter(given)
+        def respond(numbers: Any) -> list[float]:
+            take = iter(numbers)
             s = like(sample, take)
             at = At(next(take), next(take), next(take), nan, nan, True, nan, dt, dt)
             rx = like(message, take)
-            more = (sums(s, at, rx),) if sums else ()
-            f, tx, after = end(s, at, rx, *more)
+            over = (sums(s, at, rx),) if sums else ()
+            f, tx, after = end(s, at, rx, *over)
             return [*after, f, *tx]
 
-        found = matrix(respond, states + 3 + inputs)
-        if found is None:
+        response = matrix(respond, states + 3 + inputs)
+        if response is None:
             raise not_linear(scene, e)
-        unread = [i for i in range(states) if not found[:, i].any()]
-        found = np.delete(np.delete(found, unread, axis=0), unread, axis=1)
-        kept = states - len(unread)
-        found[:kept] = (found[:kept] - np.eye(kept, found.shape[1])) / dt
-        return found
+        unread = [i for i in range(states) if not response[:, i].any()]
+        response = np.delete(np.delete(response, unread, axis=0), unread, axis=1)
+        remaining = states - len(unread)
+        response[:remaining] = (response[:remaining] - np.eye(remaining, response.shape[1])) / dt
+        return response
 
     one, half, quarter = short(SHORT), short(SHORT / 2.0), short(SHORT / 4.0)
     if (np.abs(quarter) > 1.5 * np.abs(half) + 1e-6 * (1.0 + np.abs(half).max())).any():

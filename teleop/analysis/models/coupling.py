@@ -1,4 +1,4 @@
-"""What a virtual coupling allows of the environment behind it.
+"""Environments that a virtual coupling allows behind it.
 
 The device of damping delta = b renders, through the coupling C(z), the environment E(z); all impedances are force per
 backward-difference velocity (see `sampled`). The environment lacks passivity by alpha_e, the least alpha for which
@@ -54,7 +54,7 @@ ROUNDING = 1e-9  # of |E|: a lossless element's real part is no better known
 
 
 class Lack(NamedTuple):
-    """How far an environment is from being passive."""
+    """Lack of passivity of an environment."""
 
     alpha: float  # N s/m, 0 if it is passive; inf: no damper makes it so
     frequency: float  # Hz, where it lacks that much
@@ -88,8 +88,8 @@ def lack(E: Impedance, T: float) -> Lack:
         missing: Reals = np.where(-value.real > ROUNDING * np.abs(value), -value.real, 0.0)
         return missing
 
-    found = highest(curve)
-    return Lack(max(0.0, found.value), frequency(found, T) if found.value > 0.0 else 0.0)
+    peak = highest(curve)
+    return Lack(max(0.0, peak.value), frequency(peak, T) if peak.value > 0.0 else 0.0)
 
 
 def least_real(C: Impedance, T: float) -> float:
@@ -117,12 +117,12 @@ def needed_damping(C: Impedance, alpha: float, T: float, *, d: int = 0) -> Neede
     """
     T, d = number("T", T, above=0.0), whole_number("d", d, low=0)
     alpha = number("alpha", alpha, low=0.0)
-    found = highest(lambda th: damping_curve(C, alpha, th, d=d), d + 1)
-    return Needed(found.value, frequency(found, T))
+    peak = highest(lambda th: damping_curve(C, alpha, th, d=d), d + 1)
+    return Needed(peak.value, frequency(peak, T))
 
 
 def alpha_max(delta: float, C: Impedance, T: float, *, d: int = 0, tol: float = 1e-9) -> float | None:
-    """How much passivity an environment behind C may lack with a device damping `delta`; None: not any.
+    """The greatest lack of passivity of an environment behind C with a device damping `delta`; None: none is safe.
 
     None means that not even every passive environment is safe. By bisection to `tol` of gamma: the disc of the
     environments grows with alpha, so the damping needed does.

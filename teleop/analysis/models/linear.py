@@ -40,7 +40,7 @@ INSTEAD = "ask with --time, which runs it in virtual time"
 
 
 class StateSpace(NamedTuple):
-    """One end: `A` (n, n), `B` (n, fields in), `C` (fields out, n), `D` (fields out, fields in)."""
+    """State space of an end: `A` (n, n), `B` (n, fields in), `C` (fields out, n), `D` (fields out, fields in)."""
 
     A: Matrix
     B: Matrix
@@ -77,10 +77,10 @@ def linear_scene(scene: Scene, *, seed: int = 0) -> LinearScene:
 
 def with_linear_law(scene: Scene) -> Scene:
     """The scene with the linear law that its law offers in its place; as it is if the law offers none."""
-    own = [linear_law(law) for law in scene.laws]
-    if own[0] is None:
+    linear = [linear_law(law) for law in scene.laws]
+    if linear[0] is None:
         return scene
-    return replace(scene, law=tuple(own) if isinstance(scene.law, tuple) else own[0])
+    return replace(scene, law=tuple(linear) if isinstance(scene.law, tuple) else linear[0])
 
 
 def about_rest(scene: Scene) -> Scene:
@@ -113,48 +113,48 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
     if isinstance(gaps := scene.wave_playout, Integral) and gaps.target > 0.0:
         raise Refused(f"the playout {as_typed(scene.played_as)} keeps a queue of waves, which lags as their energy has "
                       f"it, so its scene has no eigenvalues; {INSTEAD}, or leave the seconds of the queue out")
-    found, bare = _nonlinear_parts(scene)
+    parts, bare = _nonlinear_parts(scene)
     sums = any(hasattr(scene.laws[0], f"{end}_sums") for end in ("master", "slave"))
     if sums and scene.rotations:
-        found.append(InTheWay(f"law {law_name(scene.laws[0])} over an orientation", "--set law=wave", ""))
-    elif found and (law := _law_in_the_way(replace(bare, rotations=()))) is not None:  # of axes that turn by themselves
-        found.append(law)
-    if not found:
+        parts.append(InTheWay(f"law {law_name(scene.laws[0])} over an orientation", "--set law=wave", ""))
+    elif parts and (law := _law_in_the_way(replace(bare, rotations=()))) is not None:  # of axes that turn by themselves
+        parts.append(law)
+    if not parts:
         return
-    if len(found) == 1:
-        (one,) = found
+    if len(parts) == 1:
+        (one,) = parts
         way_out = f", or {f'leave it out with {one.typed}' if one.typed else one.words}"
         raise Refused(f"{one.what} is not linear, so the scene has no eigenvalues; {INSTEAD}{way_out}")
-    typed = " ".join(each.typed for each in found if each.typed)
-    cures = [*[f"make it linear with {typed}"] * bool(typed), *[each.words for each in found if not each.typed]]
+    typed = " ".join(each.typed for each in parts if each.typed)
+    cures = [*[f"make it linear with {typed}"] * bool(typed), *[each.words for each in parts if not each.typed]]
     way_out = f", or {' and '.join(cures)}" if all(cures) else ""  # a law that is never linear has none
-    raise Refused(f"{enumerated([each.what for each in found])} are not linear, so the scene has no eigenvalues; "
+    raise Refused(f"{enumerated([each.what for each in parts])} are not linear, so the scene has no eigenvalues; "
                   f"{INSTEAD}{way_out}")
 
 
 def _nonlinear_parts(scene: Scene) -> tuple[list[InTheWay], Scene]:
-    """What of a scene is not linear beside its law, and the scene without that."""
-    found: list[InTheWay] = []
+    """Parts of a scene beside its law that are not linear, and the scene without them."""
+    parts: list[InTheWay] = []
     changes: dict[str, Any] = {}
     if scene.cap is not None:
-        found.append(InTheWay("a force cap", typed_off(scene, f_max="none", slew="none", v_max="none", power="none"),
+        parts.append(InTheWay("a force cap", typed_off(scene, f_max="none", slew="none", v_max="none", power="none"),
                               "leave the cap out"))
         changes["cap"] = None
     if scene.deadband is not None:
-        found.append(InTheWay("a deadband", typed_off(scene, deadband="0"), "leave it away, deadband=None"))
+        parts.append(InTheWay("a deadband", typed_off(scene, deadband="0"), "leave it away, deadband=None"))
         changes["deadband"] = None
     if scene.passivity is not None:
-        found.append(InTheWay("a passivity controller", typed_off(scene, cap="none"), "leave the controller out"))
+        parts.append(InTheWay("a passivity controller", typed_off(scene, cap="none"), "leave the controller out"))
         changes["passivity"] = None
     devices = {name: scene.per_axis(name) for name in ("device_m", "device_s")}
-    if any(device is not None and device.encoder is not None for own in devices.values() for device in own):
-        found.append(InTheWay("an encoder", typed_off(scene, step="none"), "leave the encoder out"))
+    if any(device is not None and device.encoder is not None for each in devices.values() for device in each):
+        parts.append(InTheWay("an encoder", typed_off(scene, step="none"), "leave the encoder out"))
         changes |= {name: tuple([device and replace(device, encoder=None) for device in own])
                     for name, own in devices.items() if getattr(scene, name) is not None}
     bodies = {name: scene.per_axis(name) for name in ("master", "slave")}
-    if any(body is not None and body.friction > 0.0 for own in bodies.values() for body in own):
+    if any(body is not None and body.friction > 0.0 for each in bodies.values() for body in each):
         typed = typed_off(scene, friction="0", friction_m="0", friction_s="0")
-        found.append(InTheWay("Coulomb friction", typed, "set friction=0"))
+        parts.append(InTheWay("Coulomb friction", typed, "set friction=0"))
         changes |= {name: tuple([replace(body, friction=0.0) for body in own])
                     for name, own in bodies.items() if getattr(scene, name) is not None}
     bare = replace(scene, **changes)
@@ -162,15 +162,15 @@ def _nonlinear_parts(scene: Scene) -> tuple[list[InTheWay], Scene]:
     if curved:
         what = enumerated(list(dict.fromkeys(curved.values())))
         typed = typed_off(scene, k_e="0", d_e="0") if scene.axes > 1 else ""  # of one axis nothing touched is left then
-        found.append(InTheWay(what, typed, "put a bonded tissue in its place (the scene soft_tissue has one)"))
+        parts.append(InTheWay(what, typed, "put a bonded tissue in its place (the scene soft_tissue has one)"))
         bare = replace(bare, environment=tuple([None if i in curved else one
                                                 for i, one in enumerate(scene.environments)]))
-    return found, bare
+    return parts, bare
 
 
 def _nonlinear_environments(scene: Scene) -> dict[int, str]:
     """The class of each environment that is not linear, by the index of its axis."""
-    found = {}
+    options = {}
     for i, (environment, plant) in enumerate(zip(scene.environments, exact_bodies(scene).slaves, strict=False)):
         def respond(at: Sequence[float], plant: Any = plant) -> list[float]:
             if plant.start is None:
@@ -179,8 +179,8 @@ def _nonlinear_environments(scene: Scene) -> dict[int, str]:
             return [x, v, *z, plant.force(plant.c, at[0], at[1], tuple(at[3:]))]
 
         if environment is not None and matrix(respond, 3 + len(plant.start or ())) is None:
-            found[i] = type(environment).__name__
-    return found
+            options[i] = type(environment).__name__
+    return options
 
 
 def _law_in_the_way(scene: Scene) -> InTheWay | None:
@@ -196,20 +196,20 @@ def _law_in_the_way(scene: Scene) -> InTheWay | None:
 
 
 def without(scene: Scene, words: str, **knobs: str) -> str:
-    """What to type so that a part is left out of a scene, of those `knobs` that it has and has in use; else `words`."""
+    """Options that take a part out of a scene, by those of `knobs` that it has in use; else `words`."""
     typed = typed_off(scene, **knobs)
     return f"leave it out with {typed}" if typed else words
 
 
 def typed_off(scene: Scene, **knobs: str) -> str:
     """The options that set those of these `knobs` that a scene has and has in use; empty if there are none."""
-    own = {name: scene.knobs.get(name) for name in knobs}
+    values = {name: scene.knobs.get(name) for name in knobs}
     return " ".join(f"--set {name}={value}" for name, value in knobs.items()
-                    if own[name] is not None and (value == "none" or own[name] != float(value)))
+                    if values[name] is not None and (value == "none" or values[name] != float(value)))
 
 
 def linear_estimator(scene: Scene) -> str:
-    """What to type for a velocity estimator that is linear."""
+    """The option that names a linear velocity estimator."""
     if "velocity" in scene.knobs:
         return "take a linear one, --set 'velocity=backward_difference()' or 'velocity=low_pass(cutoff=30)'"
     return "take BackwardDifference or LowPass"
@@ -227,7 +227,7 @@ def link_ticks(scene: Scene, seed: int = 0) -> tuple[int, int]:
 
     count = min(scene.ticks, 100_000)
     fixed = scene.played_as.ticks(scene.dt_ns) if isinstance(scene.played_as, Fixed) else 0
-    found = []
+    columns = []
     for direction in (0, 1):
         arrivals = scene.link.arrivals(direction, count, scene.dt_ns, seed, scene.wire_size)
         lag = np.maximum(1, -(-arrivals.time_ns // scene.dt_ns) - arrivals.packet)
@@ -237,8 +237,8 @@ def link_ticks(scene: Scene, seed: int = 0) -> tuple[int, int]:
         if (played != played[0]).any() or not 0 < played[0] <= (fixed or 1 << 62):
             raise Refused("the link does not bring every packet after the same number of ticks, so the loop is not "
                           f"time-invariant; {INSTEAD}, or write for example --link 'delay(0.05)'")
-        found.append(int(played[0]))
-    return found[0], found[1]
+        columns.append(int(played[0]))
+    return columns[0], columns[1]
 
 
 def matrix(function: Callable[[Sequence[float]], Sequence[float]], size: int) -> Matrix | None:
@@ -257,38 +257,39 @@ def matrix(function: Callable[[Sequence[float]], Sequence[float]], size: int) ->
     try:
         zero = at(np.zeros(size))
         columns = [at(row) - zero for row in np.eye(size)]
-        found = np.array(columns).T.reshape(len(zero), size)
-        rounding = 1e-14 * np.abs(found).max(axis=0, initial=0.0)
+        jacobian = np.array(columns).T.reshape(len(zero), size)
+        rounding = 1e-14 * np.abs(jacobian).max(axis=0, initial=0.0)
         for i in range(48):
             scale = 10.0 ** (dice.uniform(-6.0, 6.0, size) if i % 2 else np.full(size, i % 12 - 5.0))
             point = dice.uniform(-1.0, 1.0, size) * scale
-            met = np.abs(found) @ np.abs(point) + np.abs(zero)
-            if not (np.abs(at(point) - zero - found @ point) <= 1e-9 * met + rounding @ np.abs(point) + 1e-300).all():
+            met = np.abs(jacobian) @ np.abs(point) + np.abs(zero)
+            off = np.abs(at(point) - zero - jacobian @ point)
+            if not (off <= 1e-9 * met + rounding @ np.abs(point) + 1e-300).all():
                 return None
     except (ArithmeticError, ValueError, TypeError):
         return None
-    return found if np.isfinite(found).all() else None
+    return jacobian if np.isfinite(jacobian).all() else None
 
 
 def end_function(scene: Scene, e: str, age: int) -> Callable[[Any], tuple[list[float], list[float]]]:
-    """One tick of an end (m or s) as a function: what it is given -> (its next state, the message it sends).
+    """Make one tick of an end (m or s) a function of its state and message, to its next state and the message it sends.
 
     Given are the state and then the message, as one run of floats: for each axis x, v and the held force; the body's
     inner state; x of the tick before; what the stages keep; the law's state; the message's fields; of these only what
     the end has. `age` is that of the message, in ticks; without a slave it is the number of the tick.
     """
-    function, numbers = _made(scene, e, step, [0.0] * scene.axes)
+    function, numbers = _build_end(scene, e, step, [0.0] * scene.axes)
     return lambda state: function(*numbers, age, state)
 
 
 def begin(scene: Scene, e: str, x0: float = 0.0) -> list[float]:
     """The state of `end_function` in which an end starts at `x0` (m)."""
-    function, numbers = _made(scene, e, start, [x0] * scene.axes)
+    function, numbers = _build_end(scene, e, start, [x0] * scene.axes)
     state: list[float] = function(*numbers)
     return state
 
 
-def _made(scene: Scene, e: str, entry: Callable[..., Any], places: list[float]) -> tuple[Callable[..., Any], Any]:
+def _build_end(scene: Scene, e: str, entry: Callable[..., Any], places: list[float]) -> tuple[Callable[..., Any], Any]:
     # A watchdog leaves a link that always delivers alone, and over a constant delay these playouts play the same.
     gaps = gaps_of(scene.played_as)
     bare = replace(scene, energy=False, watchdog=None, playout=gaps if isinstance(gaps, Scaled) else Zero())
@@ -298,7 +299,7 @@ def _made(scene: Scene, e: str, entry: Callable[..., Any], places: list[float]) 
                   bodies.numbers())
 
 
-def start(run: Run, e: End, given: Any, law: Any, dt: float, places: Any, ref: Any, held: Any) -> list[float]:
+def start(run: Run, e: End, values: Any, law: Any, dt: float, places: Any, ref: Any, held: Any) -> list[float]:
     """The state in which an end starts at `places`, m per axis."""
     run.law = law
     run.dt = dt
@@ -309,14 +310,14 @@ def start(run: Run, e: End, given: Any, law: Any, dt: float, places: Any, ref: A
     for a in e.axes:
         if e.has.felt:
             a.f_ext = 0.0
-    begin_end(run, e, getattr(given, e.name))
+    begin_end(run, e, getattr(values, e.name))
     return flat([getattr(record, field) for record, field in e.memory])
 
 
-def step(run: Run, e: End, given: Any, law: Any, dt: float, places: Any, ref: Any, held: Any, k: int, numbers: Any
+def step(run: Run, e: End, values: Any, law: Any, dt: float, places: Any, ref: Any, held: Any, k: int, numbers: Any
          ) -> tuple[list[float], list[float]]:
-    """One tick of an end, whose state and message are these numbers: its next state, and the message it sends."""
-    start(run, e, given, law, dt, places, ref, held)
+    """Carry out one tick of an end with the state and message in `numbers`: its next state, the message it sends."""
+    start(run, e, values, law, dt, places, ref, held)
     if run.has.slave:
         e.got = True
     if e.has.newest:
@@ -339,14 +340,14 @@ def step(run: Run, e: End, given: Any, law: Any, dt: float, places: Any, ref: An
     return state, flat([a.tx for a in e.axes]) if run.has.slave else []
 
 
-class Still:
+class ZeroReference:
     """A hand's reference that stays at zero."""
 
     def __getitem__(self, k: int) -> float:
         return 0.0
 
 
-STILL = Still()
+STILL = ZeroReference()
 
 
 def flat(values: Sequence[Any]) -> list[float]:
@@ -366,10 +367,10 @@ def _end(scene: Scene, e: str, age: int) -> StateSpace:
     forth, back = messages(scene.laws[0], scene.dt_ns / 1e9)
     fields_in = len((back if e == "m" else forth)._fields) * scene.axes
     n = len(step(repeat(0.0))[0])
-    found = matrix(lambda given: [number for part in step(given) for number in part], n + fields_in)
-    if found is None:
+    jacobian = matrix(lambda numbers: [number for part in step(numbers) for number in part], n + fields_in)
+    if jacobian is None:
         raise not_linear(scene, e)
-    return StateSpace(found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:])
+    return StateSpace(jacobian[:n, :n], jacobian[:n, n:], jacobian[n:, :n], jacobian[n:, n:])
 
 
 def not_linear(scene: Scene, e: str) -> Refused:
@@ -389,8 +390,8 @@ def is_linear(estimator: Any, dt: float) -> bool:
     """True if the velocity that an estimator makes is a linear function of the positions."""
     start, c = estimator.start(0.0), estimator.coefficients(dt)
 
-    def respond(given: Sequence[float]) -> list[float]:
-        v, s = estimator.step(c, tuple(given[1:]), given[0], dt)
+    def respond(numbers: Sequence[float]) -> list[float]:
+        v, s = estimator.step(c, tuple(numbers[1:]), numbers[0], dt)
         return [v, *s]
 
     return matrix(respond, 1 + len(start)) is not None

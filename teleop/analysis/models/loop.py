@@ -24,26 +24,81 @@ end has poles there of its own: those may be double, and rounding then parts the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from math import floor, pi
+from math import acos, floor, pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.analysis.models.curve import Curve, about_one, circle
 from teleop.analysis.models.linear import LinearScene, StateSpace
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
     Points = NDArray[np.complex128]
+
+
+EDGE = 1e-11  # how far outside the unit circle the curve runs, so that a pole on it is inside
+
+
+class Curve(NamedTuple):
+    """The upper half of a curve that is symmetric to the real axis; roots are counted on its far side."""
+
+    point: Callable[[Any], Points]  # for a parameter from 0 to `length`
+    length: float
+    exponent: Callable[[Points], Points]  # by which a delay multiplies: log z, or s
+    outside: Callable[[Points], Any]
+    closed: bool  # does it end on the real axis, or at infinity
+
+
+def reach(radius: float) -> float:
+    """The radius at which `circle` runs: from the unit circle on, `EDGE` farther outside."""
+    return radius + EDGE if radius >= 1.0 else radius
+
+
+def circle(radius: float, indent: float) -> Curve:
+    """|z| = `radius`; the unit circle and what is as near to it passes z = 1 at the distance `indent`."""
+    import numpy as np
+
+    far = reach(radius)
+    if not 1.0 <= far < 1.0 + indent:
+        return Curve(lambda t: far * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z) > far, True)
+    turn = acos(((far - 1.0) * (far + 1.0) - indent * indent) / (2.0 * indent))
+    leave = float(np.angle(1.0 + indent * np.exp(1j * turn)))
+
+    def point(t: Any) -> Points:
+        around = 1.0 + indent * np.exp(1j * turn * np.minimum(t, 1.0))
+        along: Points = np.where(t <= 1.0, around, far * np.exp(1j * (leave + (pi - leave) * (t - 1.0))))
+        return along
+
+    return Curve(point, 2.0, np.log, lambda z: (np.abs(z) > far) & (np.abs(z - 1.0) > indent), True)
+
+
+def about_one(indent: float) -> Curve:
+    """The small circle that `circle` leaves out, seen from outside."""
+    import numpy as np
+
+    return Curve(lambda t: 1.0 + indent * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z - 1.0) > indent, True)
+
+
+def imaginary_axis(indent: float, top: float) -> Curve:
+    """s = i w up to `top` (rad/s), passing s = 0 at `indent` on the right; the right half-plane is its far side."""
+    import numpy as np
+
+    def point(t: Any) -> Points:
+        around = indent * np.exp(0.5j * pi * np.minimum(t, 1.0))
+        along: Points = np.where(t <= 1.0, around, 1j * indent * (top / indent) ** np.maximum(t - 1.0, 0.0))
+        return along
+
+    return Curve(point, 2.0, lambda s: s, lambda s: (s.real > 0.0) & (np.abs(s) > indent), False)
+
 
 STEP = 0.25  # of log l_j between two samples
 FAINT = 1e-7  # l_j below this are not followed
 
 
 class Crossing(NamedTuple):
-    """Where a branch enters (`into` = 1) or leaves (-1) the part of the curve on which it is above 1."""
+    """Crossing of a branch into (`into` = 1) or out of (-1) the part of the curve on which it is above 1."""
 
     t: float
     branch: int
@@ -93,7 +148,7 @@ class Loop:
         return t, self.curve.exponent(z), logs
 
     def outside(self, delay: float, gain: float = 1.0) -> int:
-        """How many roots lie on the curve's far side with this round trip (ticks, or s) and loop gain."""
+        """Count the roots on the curve's far side with this round trip (ticks, or s) and loop gain."""
         import numpy as np
 
         _, exponents, logs = self.samples
@@ -103,8 +158,8 @@ class Loop:
                 turns += sign * _phase(logs[place] + np.log(gain) - delay * exponents[place], self.noise)
         for c in self.crossings(delay, gain):
             turns -= 2.0 * pi * c.into * floor((c.log - delay * c.at).imag / (2.0 * pi))
-        own = int(np.count_nonzero(self.curve.outside(self.poles)))
-        count = own - turns / pi
+        poles_outside = int(np.count_nonzero(self.curve.outside(self.poles)))
+        count = poles_outside - turns / pi
         if abs(count - round(count)) > 0.1:
             raise ArithmeticError(f"the argument principle gives {count:g} roots; the loop is too ill-conditioned")
         return round(count)
@@ -114,14 +169,14 @@ class Loop:
         import numpy as np
 
         t, exponents, logs = self.samples
-        found = []
+        crossings = []
         for j in range(logs.shape[1]):
             size = (logs[:, j] + np.log(gain) - delay * exponents).real
             times, size = self._with_peaks(t, size, j, delay, gain)
             above = size > self.noise
             for i in np.flatnonzero(above[1:] != above[:-1]):
-                found.append(self._refine(times[i], times[i + 1], j, delay, gain, 1 if above[i + 1] else -1))
-        return sorted(found)
+                crossings.append(self._refine(times[i], times[i + 1], j, delay, gain, 1 if above[i + 1] else -1))
+        return sorted(crossings)
 
     def log_at(self, t: float, branch: int) -> tuple[complex, complex]:
         """The exponent and log l_j, phase unwrapped, at any parameter."""
@@ -198,7 +253,7 @@ def resting_loop(linear: LinearScene) -> Loop:
 
 
 def indent(linear: LinearScene) -> float:
-    """How near a root must be to z = 1 to count as resting there."""
+    """The distance from z = 1 within which a root counts as resting there."""
     import numpy as np
 
     return 1e-6 if (np.abs(open_poles(linear.master, linear.slave) - 1.0) < 1e-6).any() else 1e-9

@@ -1,4 +1,4 @@
-"""How far a linear scene is from instability: its gain margin and its delay margin.
+"""Margins of a linear scene: of gain, and of delay.
 
 Both are found with the root count of `loop`, so that the answer is certified by it: no root lies outside the unit
 circle at any smaller gain that was tried, none at the round trip one tick below the critical one.
@@ -59,15 +59,15 @@ def _phase_crossover(loop: Loop, delay: int) -> float | None:
     t, exponents, logs = loop.samples
     size, turns = (part - delay * way for part, way in
                    ((logs.real, exponents.real[:, None]), (logs.imag / (2 * pi), exponents.imag[:, None] / (2 * pi))))
-    found: list[tuple[float, int, int, int]] = []
+    brackets: list[tuple[float, int, int, int]] = []
     for i, j in zip(*np.nonzero(np.floor(turns[1:]) != np.floor(turns[:-1])), strict=True):
         a, b = sorted((turns[i, j], turns[i + 1, j]))
-        found += [(max(size[i, j], size[i + 1, j]), i, j, turn) for turn in {floor(a) + 1, floor(b)}]
+        brackets += [(max(size[i, j], size[i + 1, j]), i, j, turn) for turn in {floor(a) + 1, floor(b)}]
     exact = [float(size[i, j]) for i in (0, -1) for j in range(size.shape[1])  # real there: no sample lies beyond
              if abs(turns[i, j] - round(turns[i, j])) < 1e-9]
-    found.sort(reverse=True)
+    brackets.sort(reverse=True)
     exact += [_size_at_turn(loop, delay, t[i], t[i + 1], j, turn)
-              for level, i, j, turn in [f for f in found if f[0] > log(1e-6)][:24]]
+              for level, i, j, turn in [f for f in brackets if f[0] > log(1e-6)][:24]]
     return max((min(level, 0.0) for level in exact if log(1e-6) < level <= 1e-9), default=None)
 
 

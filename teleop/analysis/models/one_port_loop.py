@@ -93,12 +93,12 @@ def controller(scene: Scene) -> StateSpace:
                       "set every=1 and a longer tick")
     tick = loop.ticks[0]
     plant = [0, 1, *range(3, 3 + _inner_states(scene))]
-    own = [i for i in range(len(tick)) if i not in plant]
-    if np.abs(tick[np.ix_(own, plant[1:])]).max(initial=0.0) > 0.0:
+    law = [i for i in range(len(tick)) if i not in plant]
+    if np.abs(tick[np.ix_(law, plant[1:])]).max(initial=0.0) > 0.0:
         raise Refused(f"law {law_name(scene.law)} reads the velocity itself, which no device has; name an estimator, "
                       "for example device_m=Device(velocity=BackwardDifference())")
     force = tick[2]
-    return StateSpace(tick[np.ix_(own, own)], tick[np.ix_(own, [0])], force[own][None, :], force[[0]][None, :])
+    return StateSpace(tick[np.ix_(law, law)], tick[np.ix_(law, [0])], force[law][None, :], force[[0]][None, :])
 
 
 def one_axis(scene: Scene) -> Scene:
@@ -108,7 +108,7 @@ def one_axis(scene: Scene) -> Scene:
     return replace(scene, axes=1, start_m=scene.vector("start_m", scene.start_m)[0])
 
 
-def opened(scene: Scene) -> LinearScene | None:
+def cut_open(scene: Scene) -> LinearScene | None:
     """The loop cut open at the force: device and controller as two ends, the computation's delay between them.
 
     Kept as a number beside the matrices the delay costs nothing, whatever its length. None where the loop is not of
@@ -128,15 +128,16 @@ def opened(scene: Scene) -> LinearScene | None:
     tick, dead = one_port(prompt).ticks[0], _ticks(replace(prompt, cap=Cap(f_max=0.0)), 1)[0]
     inner = _inner_states(prompt)
     body = [0, 1, *range(3, 3 + inner)]
-    own = [i for i in range(len(tick)) if i not in (2, *body)]
-    if tick[np.ix_([2, *own], [2, *body[2:]])].any():
+    states = [i for i in range(len(tick)) if i not in (2, *body)]
+    if tick[np.ix_([2, *states], [2, *body[2:]])].any():
         return None
     force = tick[2]
     strongest = int(np.abs(force).argmax())
     push = (tick - dead)[body, strongest] / force[strongest] if force.any() else np.zeros(len(body))
     read = np.eye(2, len(body))  # position and velocity
     plant = StateSpace(dead[np.ix_(body, body)], push[:, None], read, np.zeros((2, 1)))
-    law = StateSpace(tick[np.ix_(own, own)], tick[np.ix_(own, [0, 1])], force[own][None, :], force[[0, 1]][None, :])
+    law = StateSpace(tick[np.ix_(states, states)], tick[np.ix_(states, [0, 1])], force[states][None, :],
+                     force[[0, 1]][None, :])
     return LinearScene(plant, law, device.delay, 0, scene.dt_ns / 1e9)
 
 
@@ -150,7 +151,7 @@ def _inner_states(scene: Scene) -> int:
 
 
 class Margins(NamedTuple):
-    """What is known of a one-port loop."""
+    """Roots and margins of a one-port loop."""
 
     unstable: int  # roots outside the unit circle
     integrators: int
@@ -164,15 +165,15 @@ def margins(scene: Scene) -> Margins:
     """Roots and margins of a scene without a slave."""
     from teleop.analysis.models.margins import critical_round_trip
 
-    linear = opened(scene)
-    found = gain_and_mode(scene, linear)
+    linear = cut_open(scene)
+    margin = gain_and_mode(scene, linear)
     if linear is None:
-        return found._replace(critical_delay=_critical_delay(scene), tried=MOST_DELAY)
-    return found._replace(critical_delay=critical_round_trip(linear, 0))
+        return margin._replace(critical_delay=_critical_delay(scene), tried=MOST_DELAY)
+    return margin._replace(critical_delay=critical_round_trip(linear, 0))
 
 
 def gain_and_mode(scene: Scene, linear: LinearScene | None) -> Margins:
-    """The same but for the delay; `linear` is the scene `opened`."""
+    """The same but for the delay; `linear` is the scene `cut_open`."""
     from teleop.analysis.models import margins as of_two
     from teleop.analysis.models.loop import sampled_loop
     from teleop.analysis.models.roots import dominant
@@ -191,7 +192,7 @@ def settles(scene: Scene) -> bool:
     if delay > FEW:
         from teleop.analysis.models.loop import sampled_loop
 
-        linear = opened(scene)
+        linear = cut_open(scene)
         if linear is not None:
             return not sampled_loop(linear).outside(linear.round_trip)
     return not unstable_roots(one_port(scene))
@@ -227,13 +228,13 @@ def _gain_margin(scene: Scene) -> float | None:
 
     whole = one_port(scene)
     dead = _ticks(replace(one_axis(with_linear_law(scene)), cap=Cap(f_max=0.0)), len(whole.ticks))
-    own = unstable_roots(whole) > 0
+    unstable = unstable_roots(whole) > 0
 
     def changed(step: float) -> bool:
         ticks = [off + exp(step) * (on - off) for on, off in zip(whole.ticks, dead, strict=True)]
-        return (unstable_roots(whole._replace(ticks=ticks)) > 0) != own
+        return (unstable_roots(whole._replace(ticks=ticks)) > 0) != unstable
 
-    found = []
+    brackets = []
     for way in (1.0, -1.0):
         steps = [way * i * log(1e6) / 64 for i in range(65)]
         first = next((i for i, step in enumerate(steps) if i and changed(step)), None)
@@ -242,8 +243,8 @@ def _gain_margin(scene: Scene) -> float | None:
             for _ in range(40):
                 middle = 0.5 * (low + high)
                 low, high = (low, middle) if changed(middle) else (middle, high)
-            found.append(high)
-    return exp(min(found, key=abs)) if found else None
+            brackets.append(high)
+    return exp(min(brackets, key=abs)) if brackets else None
 
 
 def _critical_delay(scene: Scene) -> int | None:
@@ -265,7 +266,7 @@ def _ticks(scene: Scene, every: int) -> list[Matrix]:
                       "device's delay, or renew the force at every tick")
     for _ in range(SETTLING):
         kinds = [near(_state_after(scene, k), base) for k in range(min(every, 2))]
-        maps = [found for found in kinds if found is not None]
+        maps = [kind for kind in kinds if kind is not None]
         if len(maps) == len(kinds):
             return [maps[min(k, 1)] for k in range(every)]
         # A simulated tool starts on the surface, where no map is affine: the device waits until it has moved on.
@@ -275,7 +276,7 @@ def _ticks(scene: Scene, every: int) -> list[Matrix]:
 
 def _state_after(scene: Scene, k: int) -> Callable[[Any], list[float]]:
     step = end_function(scene, "m", k)
-    return lambda given: step(given)[0]
+    return lambda numbers: step(numbers)[0]
 
 
 def near(function: Callable[[Any], Sequence[float]], base: Sequence[float]) -> Matrix | None:
@@ -296,10 +297,10 @@ def near(function: Callable[[Any], Sequence[float]], base: Sequence[float]) -> M
     points = dice.uniform(-1.0, 1.0, (32, n))
     zero = at(np.zeros(n))
     for size in SIZES:
-        found = np.array([(at(size * row) - at(-size * row)) / (2.0 * size) for row in np.eye(n)]).T
-        met = np.abs(found) @ np.full(n, size) + np.abs(zero) + np.abs(found) @ np.abs(middle)
-        if np.isfinite(found).all() and all(
-                (np.abs(at(size * p) - zero - found @ (size * p)) <= 1e-9 * size * met + 1e-12 * met).all()
+        jacobian = np.array([(at(size * row) - at(-size * row)) / (2.0 * size) for row in np.eye(n)]).T
+        met = np.abs(jacobian) @ np.full(n, size) + np.abs(zero) + np.abs(jacobian) @ np.abs(middle)
+        if np.isfinite(jacobian).all() and all(
+                (np.abs(at(size * p) - zero - jacobian @ (size * p)) <= 1e-9 * size * met + 1e-12 * met).all()
                 for p in points):
-            return found
+            return jacobian
     return None

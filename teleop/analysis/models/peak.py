@@ -55,18 +55,18 @@ def highest(curve: Callable[[Reals], Any], turns: float = 0.0) -> Peak:
     tops = np.flatnonzero((values >= left) & (values >= right) & (values >= values[best] - 0.01 * span))
     tops = tops[np.argsort(-values[tops])][:64]
     low, high = th[np.maximum(tops - 1, 0)], th[np.minimum(tops + 1, len(th) - 1)]
-    found = Peak(float(values[best]), float(th[best]))
+    peak = Peak(float(values[best]), float(th[best]))
     for _ in range(ROUNDS):  # all of them at once, each interval to an eighth
         inner = np.linspace(low, high, 17)
         shown = _values(curve, inner.ravel()).reshape(inner.shape)
         at = shown.argmax(axis=0)
         column = np.arange(len(at))
         top = int(shown[at, column].argmax())
-        if shown[at[top], top] > found.value:
-            found = Peak(float(shown[at[top], top]), float(inner[at[top], top]))
+        if shown[at[top], top] > peak.value:
+            peak = Peak(float(shown[at[top], top]), float(inner[at[top], top]))
         low, high = inner[np.maximum(at - 1, 0), column], inner[np.minimum(at + 1, 16), column]
-    level = found.value - values[0] <= 1e-9 * abs(found.value)
-    return Peak(found.value, float(th[0])) if level else found
+    level = peak.value - values[0] <= 1e-9 * abs(peak.value)
+    return Peak(peak.value, float(th[0])) if level else peak
 
 
 def _values(curve: Callable[[Reals], Any], th: Reals) -> Reals:

@@ -1,4 +1,4 @@
-"""What a run comes to: rest, a limit cycle, or neither, as the analyses in virtual time tell it.
+"""The end of a run in virtual time, for the analyses: rest, a limit cycle, or neither.
 
 The swing of a window and its trend are those of `teleop.simulation.rest`, which runs and sweeps go by too. A run of one
 length cannot tell a slow decay from a decay onto a limit cycle, so here it is made again with twice its length, and
@@ -40,7 +40,7 @@ KEPT = (0.95, 1.05)  # the swing stays if it changed by a factor between these
 
 
 class FreeMotion(NamedTuple):
-    """What a scene does when nothing moves it any more."""
+    """Behaviour of a scene that nothing moves any more."""
 
     verdict: str  # stable, limit cycle or unstable
     sentence: str
@@ -66,7 +66,7 @@ class _Seen(NamedTuple):
 
 
 def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> FreeMotion:
-    """What a scene that nothing moves from tick `since` on comes to. Its own duration is the first that is tried."""
+    """Judge a scene that nothing moves from tick `since` on. Its own duration is the first that is tried."""
     from teleop.simulation.virtual import run
 
     first = scene.ticks - since
@@ -79,8 +79,8 @@ def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> FreeMotion:
             return FreeMotion("unstable", result.sentence, None, None, False)
         seen = _look(result, since)
         if seen.last < QUIET:
-            told = f"comes to rest: less than {QUIET:g} {_unit(scene)} of swing is left"
-            return FreeMotion("stable", told, 0.5 * seen.last, None, True)
+            sentence = f"comes to rest: less than {QUIET:g} {_unit(scene)} of swing is left"
+            return FreeMotion("stable", sentence, 0.5 * seen.last, None, True)
         if before and before.trend == seen.trend == "stays" and KEPT[0] < seen.last / before.last < KEPT[1]:
             break
         before = seen
@@ -98,19 +98,19 @@ def _look(result: Result, since: int) -> _Seen:
 
 
 def _decided(scene: Scene, seen: _Seen, lasting: float) -> FreeMotion:
-    """What the last run says, which is not at rest and has not diverged."""
+    """The verdict of the last run, which is not at rest and has not diverged."""
     step = encoder_step(scene)
-    amplitude, told = 0.5 * seen.last, f"{seen.pitch:.4g} Hz, {seen.last:.3g} {_unit(scene)} peak to peak"
+    amplitude, left = 0.5 * seen.last, f"{seen.pitch:.4g} Hz, {seen.last:.3g} {_unit(scene)} peak to peak"
     if seen.trend == "grows":
-        return FreeMotion("unstable", f"still grows after {lasting:.3g} s: {told} by now", amplitude, seen.pitch, False)
+        return FreeMotion("unstable", f"still grows after {lasting:.3g} s: {left} by now", amplitude, seen.pitch, False)
     if seen.trend == "falls" and not step:
-        return FreeMotion("stable", f"still dies away after {lasting:.3g} s: {told} left", amplitude, seen.pitch, True)
+        return FreeMotion("stable", f"still dies away after {lasting:.3g} s: {left} left", amplitude, seen.pitch, True)
     if disturbed(scene) and seen.last < DISTURBED:
-        return FreeMotion("stable", f"rests but for what its link or its left-out ticks move: {told}", amplitude,
+        return FreeMotion("stable", f"rests but for what its link or its left-out ticks move: {left}", amplitude,
                           seen.pitch, True)
     rests = seen.last <= STEPS * step
     if step:
-        told += f", {seen.last / step:.2g} steps of the encoder"
-        told += f", which counts as rest, as up to {STEPS:g} steps do" if rests else ""
-    kept = f"has not come to rest after {lasting:.3g} s" if seen.trend == "falls" else "keeps swinging"
-    return FreeMotion("limit cycle", f"{kept}: {told}", amplitude, seen.pitch, rests)
+        left += f", {seen.last / step:.2g} steps of the encoder"
+        left += f", which counts as rest, as up to {STEPS:g} steps do" if rests else ""
+    motion = f"has not come to rest after {lasting:.3g} s" if seen.trend == "falls" else "keeps swinging"
+    return FreeMotion("limit cycle", f"{motion}: {left}", amplitude, seen.pitch, rests)

@@ -18,9 +18,8 @@ from __future__ import annotations
 from math import exp, log, pi
 from typing import TYPE_CHECKING, NamedTuple
 
-from teleop.analysis.models.curve import reach
 from teleop.analysis.models.linear import LinearScene, StateSpace
-from teleop.analysis.models.loop import FAINT, Loop, gains, indent, sampled_loop
+from teleop.analysis.models.loop import FAINT, Loop, gains, indent, reach, sampled_loop
 
 if TYPE_CHECKING:
     import numpy as np
@@ -118,8 +117,8 @@ def greatest(linear: LinearScene, most: int) -> Roots:
         return Roots(z[np.argsort(-np.abs(z))], total, True)
     loop = sampled_loop(linear)
     seeds = [*_estimates(loop, linear.round_trip, most).tolist(), *_own(loop)]
-    found = [rate for rate in (_newton(linear, seed) for seed in seeds) if rate is not None]
-    rates = _distinct(np.array(found, dtype=np.complex128), 1e-6 / linear.round_trip)[:most // 2]
+    refined = [rate for rate in (_newton(linear, seed) for seed in seeds) if rate is not None]
+    rates = _distinct(np.array(refined, dtype=np.complex128), 1e-6 / linear.round_trip)[:most // 2]
     both = np.concatenate([rates, rates[(rates.imag > 0.0) & (rates.imag < pi)].conj()])
     both = both[np.argsort(-both.real, kind="stable")]
     complete = False
@@ -168,8 +167,8 @@ def _root(linear: LinearScene, low: float, high: float) -> complex | None:
     miss = logs - linear.round_trip * exponents[:, None]
     miss = np.abs(miss - 2j * pi * np.round(miss.imag / (2.0 * pi)))
     seeds = [*near.tolist(), *exponents[np.argsort(miss.min(axis=1))[:6]].tolist(), *_own(loop)]
-    found = [rate for rate in (_newton(linear, seed) for seed in seeds) if rate is not None]
-    inside = [rate for rate in found if low - room <= rate.real <= high + room]
+    refined = [rate for rate in (_newton(linear, seed) for seed in seeds) if rate is not None]
+    inside = [rate for rate in refined if low - room <= rate.real <= high + room]
     rates = _distinct(np.array(inside, dtype=np.complex128), 1e-6 / linear.round_trip)
     return cexp(complex(rates[0])) if rates.size else None
 
@@ -189,11 +188,11 @@ def _distinct(rates: Points, apart: float) -> Points:
     angle = np.abs(rates.imag)
     upper = rates.real + 1j * np.where(angle < apart, 0.0, np.where(pi - angle < apart, pi, angle))
     upper = upper[np.argsort(-upper.real, kind="stable")]
-    kept: list[complex] = []
+    distinct: list[complex] = []
     for rate in upper.tolist():
-        if all(abs(rate - other) > apart for other in kept):
-            kept.append(rate)
-    return np.array(kept, dtype=np.complex128)
+        if all(abs(rate - root) > apart for root in distinct):
+            distinct.append(rate)
+    return np.array(distinct, dtype=np.complex128)
 
 
 def _estimates(loop: Loop, delay: int, most: int) -> Points:
@@ -233,8 +232,8 @@ def _nearest_log(loop: Loop, at: Points, guess: Points) -> Points:
     logs = np.log(np.maximum(np.abs(values), 1e-300)) + 1j * np.angle(values)
     logs = logs + 2j * pi * np.round((guess[:, None] - logs).imag / (2.0 * pi))
     nearest = np.abs(logs - guess[:, None]).argmin(axis=1)
-    found: Points = logs[np.arange(len(at)), nearest]
-    return found
+    nearest_logs: Points = logs[np.arange(len(at)), nearest]
+    return nearest_logs
 
 
 def _newton(linear: LinearScene, rate: complex) -> complex | None:
@@ -249,12 +248,12 @@ def _newton(linear: LinearScene, rate: complex) -> complex | None:
     inner = np.block([[first.A, zero.T, first.B], [second.B @ first.C, second.A, second.B @ first.D]])
     sent = np.hstack([second.D @ first.C, second.C, second.D @ first.D])
     moves = np.eye(n + m, n + m + q)
-    kept = np.eye(q, n + m + q, n + m)
+    shift = np.eye(q, n + m + q, n + m)
     for _ in range(60):
         if -d * rate.real > FARTHEST:
             return None
         z, late = cexp(rate), cexp(-d * rate)
-        matrix = np.vstack([z * moves - inner, kept - late * sent])
+        matrix = np.vstack([z * moves - inner, shift - late * sent])
         slope = np.vstack([z * moves, d * late * sent])
         try:
             step = 1.0 / complex(np.trace(np.linalg.solve(matrix, slope)))

@@ -65,7 +65,7 @@ def needed_damping(E: Impedance, T: float, *, d: int = 0, every: int = 1) -> Nee
 
 
 def frequency(peak: Peak, T: float) -> float:
-    """Where a peak is, in Hz, for samples every T seconds; the places nearest to 0 stand for 0."""
+    """Frequency of a peak in Hz, for samples every T seconds; the places nearest to 0 stand for 0."""
     return 0.0 if peak.th <= FIRST else peak.th / (2.0 * pi * T)
 
 
@@ -91,8 +91,8 @@ def step(th: Reals) -> Points:
     """1 - e^(-j th), without the cancellation at small th."""
     import numpy as np
 
-    found: Points = 2j * np.sin(0.5 * th) * np.exp(-0.5j * th)
-    return found
+    difference: Points = 2j * np.sin(0.5 * th) * np.exp(-0.5j * th)
+    return difference
 
 
 def on_circle(th: Reals) -> Any:
@@ -108,8 +108,8 @@ def smooth(E: Impedance, th: Reals) -> Points:
 
     z = on_circle(th)
     over_position = (np.asarray(E(z)) * (1.0 - 1.0 / z)).astype(np.complex128)
-    found: Points = over_position / step(th)
-    return found
+    impedance: Points = over_position / step(th)
+    return impedance
 
 
 def _negative_spring(E: Impedance, T: float) -> bool:

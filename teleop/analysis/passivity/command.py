@@ -19,10 +19,10 @@ def find(args: Namespace) -> Task:
     scene = along(load_scene(args.scene, **knobs_from(args)), args.axis)
 
     def work() -> Answer:
-        found = ask(scene, seed=args.seed, span=args.range)
-        return Answer(table(found), summary(found, args.typed),
-                      files={"curves.npz": lambda path: write_npz(path, curves(found))},
-                      plots={"passivity": partial(draw, found)})
+        passivity = ask(scene, seed=args.seed, span=args.range)
+        return Answer(table(passivity), summary(passivity, args.typed),
+                      files={"curves.npz": lambda path: write_npz(path, curves(passivity))},
+                      plots={"passivity": partial(draw, passivity)})
 
     return Task(scene.name, work)
 

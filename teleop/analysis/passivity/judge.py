@@ -31,7 +31,7 @@ class Band(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """One two-port over a range."""
+    """Verdict on a two-port over a range."""
 
     port: TwoPort
     bands: tuple[Band, ...]  # where the criterion fails
@@ -75,13 +75,13 @@ def two_ports(scene: Scene, *, low: float = 0.1, high: float | None = None, seed
     one_hertz = touched(scene, _axis(_array([UNIT])))
 
     def at(frequency: Reals) -> Points:
-        found = touched(scene, _axis(frequency))
-        assert found is not None
-        return found
+        impedance = touched(scene, _axis(frequency))
+        assert impedance is not None
+        return impedance
 
     around = None if one_hertz is None else at
     why: dict[str, str] = {}
-    found: dict[str, Judged] = {}
+    judged: dict[str, Judged] = {}
     makes: dict[str, Callable[[Reals], TwoPort]] = {
         "sampled": lambda f: sampled_two_port(scene, f, seed=seed),
         "continuous": lambda f: continuous_two_port(scene, f),
@@ -90,14 +90,14 @@ def two_ports(scene: Scene, *, low: float = 0.1, high: float | None = None, seed
     for name, make in makes.items():
         try:
             trip = sum(delays(scene, seed))
-            found[name] = judge(make, low=low, high=high, trip=trip, touched=around)
+            judged[name] = judge(make, low=low, high=high, trip=trip, touched=around)
         except Refused as error:
             refused = refused or error
             why[name] = str(error).partition(";")[0]
-    if not found and refused is not None:
+    if not judged and refused is not None:
         raise refused
     stiff = None if around is None else float(abs(around(_array([SLOW]))[0])) * 2.0 * pi * SLOW
-    return TwoPorts(found.get("sampled"), found.get("continuous"), why, around, stiff, low, high)
+    return TwoPorts(judged.get("sampled"), judged.get("continuous"), why, around, stiff, low, high)
 
 
 def judge(make: Callable[[Reals], TwoPort], *, low: float, high: float, trip: float = 0.0,
@@ -124,7 +124,7 @@ def judge(make: Callable[[Reals], TwoPort], *, low: float, high: float, trip: fl
             least, at = float(near.eta[worst]), float(f[worst])
     felt = None
     if touched is not None:
-        felt = float(abs(slow.felt(touched(slow.frequency))[0])) * 2.0 * pi * SLOW
+        felt = float(abs(slow.perceived_impedance(touched(slow.frequency))[0])) * 2.0 * pi * SLOW
     scale = np.abs(port.h[:, 0, 1]) ** 2 + np.abs(port.h[:, 1, 0]) ** 2
     passive = bool((port.raisbeck >= -1e-9 * scale).all() and (port.h[:, 0, 0].real >= 0.0).all())
     bands = tuple(Band(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True))
@@ -132,7 +132,7 @@ def judge(make: Callable[[Reals], TwoPort], *, low: float, high: float, trip: fl
 
 
 def _edges(make: Callable[[Reals], TwoPort], low: Reals, high: Reals) -> list[float]:
-    """Where the verdict changes between each two frequencies, all of them zoomed in on at once."""
+    """Frequencies at which the verdict changes between each two given ones, all zoomed in on at once."""
     import numpy as np
 
     column = np.arange(len(low))

@@ -46,9 +46,9 @@ def draw(answer: PassivityAnswer, path: Path, formats: Sequence[str] = PNG) -> l
                         f"{title}\n{fill(literal(answer.sentence), 110 if alone else 170)}")
     data = curves(answer)
     if answer.one is not None:
-        _one(figure, answer.one, data)
+        _draw_one_port(figure, answer.one, data)
     else:
-        _two(figure, answer, data)
+        _draw_two_port(figure, answer, data)
     return save(figure, path, formats)
 
 
@@ -64,7 +64,7 @@ def _legend(axes: Axes) -> None:
     axes.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, borderaxespad=0.2)
 
 
-def _two(figure: Figure, answer: PassivityAnswer, data: dict[str, Any]) -> None:
+def _draw_two_port(figure: Figure, answer: PassivityAnswer, data: dict[str, Any]) -> None:
     import numpy as np
 
     (top, eta), (passed, felt) = figure.subplots(2, 2, sharex=True)
@@ -119,7 +119,7 @@ def _bands(axes: Axes, answer: PassivityAnswer) -> None:
         axes.axvspan(*band, color=FAILS, alpha=0.12, linewidth=0.0, label=f"fails, {which}" if i == 0 else None)
 
 
-def _one(figure: Figure, one: RenderedImpedance, data: dict[str, Any]) -> None:
+def _draw_one_port(figure: Figure, one: RenderedImpedance, data: dict[str, Any]) -> None:
     if one.behind is None:
         _needed(figure.subplots(), one, data)
         return
@@ -132,7 +132,7 @@ def _one(figure: Figure, one: RenderedImpedance, data: dict[str, Any]) -> None:
 
 
 def _lost(axes: Axes, one: RenderedImpedance, behind: Behind, data: dict[str, Any]) -> None:
-    """What the coupling costs: the environment's impedance, the coupling's, and what is left of them together."""
+    """Draw the cost of the coupling: the environment's impedance, the coupling's, and both together."""
     import numpy as np
 
     from teleop.analysis.models.sampled import smooth
@@ -169,7 +169,7 @@ def _needed(axes: Axes, one: RenderedImpedance, data: dict[str, Any]) -> None:
 
 
 def _diagram(axes: Axes, one: RenderedImpedance, behind: Behind) -> None:
-    """How much passivity an environment may lack, over the coupling made stiffer and more damped alike."""
+    """Draw the passivity that an environment may lack, over the coupling made stiffer and more damped alike."""
     import numpy as np
 
     from teleop.analysis.models.coupling import alpha_max, alpha_miller
@@ -185,8 +185,8 @@ def _diagram(axes: Axes, one: RenderedImpedance, behind: Behind) -> None:
         few = np.union1d(factors[::10][factors[::10] < edge], [edge * (1.0 - 1e-6)])
         axes.axvline(behind.gamma * edge, color=DARK, linestyle=":", linewidth=1.0,
                      label="beyond: a rigid one makes energy")
-        found = [alpha_max(delta, _scaled(behind, factor), one.T, d=one.d, tol=1e-4) for factor in few]
-        most = [np.nan if alpha is None else alpha for alpha in found]
+        limits = [alpha_max(delta, _scaled(behind, factor), one.T, d=one.d, tol=1e-4) for factor in few]
+        most = [np.nan if alpha is None else alpha for alpha in limits]
         axes.plot(behind.gamma * few, most, color=BLUE, marker=".", markersize=4,
                   label="exact for linear ones, holding included")
     alpha = behind.alpha.alpha

@@ -1,4 +1,4 @@
-"""What `teleop passivity` answers: a table for a person, JSON, and the curves behind them."""
+"""Output of `teleop passivity`: a table for a person, JSON, and the curves behind them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Along = Callable[[float | None, str], WithUnit]
 
 
 class PassivityAnswer(NamedTuple):
-    """All that was asked: one port, or two."""
+    """Result of the analysis: one port, or two."""
 
     scene: Scene
     one: RenderedImpedance | None
@@ -77,9 +77,9 @@ def table(answer: PassivityAnswer) -> str:
     if words := instead(answer.scene.law):
         rows.append(("law", words))
     if answer.one is not None:
-        rows += _one(answer.one)
+        rows += _one_port_rows(answer.one)
     if answer.two is not None:
-        rows += _two(answer.two)
+        rows += _two_port_rows(answer.two)
     if answer.left_out:
         rows.append(("left out", ", ".join(answer.left_out) + ": not linear, or not known here"))
     names = labels_of(answer.scene)
@@ -90,7 +90,7 @@ def _damping(value: float) -> str:
     return f"{value:.4g} N s/m"
 
 
-def _one(one: RenderedImpedance) -> list[tuple[str, str]]:
+def _one_port_rows(one: RenderedImpedance) -> list[tuple[str, str]]:
     rows = [("verdict", one.verdict.sentence)]
     late = f", {one.d} of them after the reading" if one.d else ""
     often = "tick" if one.every == 1 else f"{one.every} ticks"
@@ -114,10 +114,10 @@ def _behind(one: RenderedImpedance, behind: Behind) -> list[tuple[str, str]]:
         most = f"not even every passive one is safe: that needs {_damping(behind.passive_needs)}"
     if behind.most is not None:
         most = f"every one that lacks up to {_damping(behind.most)} is safe, holding and delay included"
-    told = ", ".join(f"{name} {lacking(lack)}" for name, lack in behind.integrators.items())
+    by_integrator = ", ".join(f"{name} {lacking(lack)}" for name, lack in behind.integrators.items())
     return [
         ("environment", f"{lacks}; {behind.stiffness:.4g} N/m at rest"),
-        ("by integrator", told),
+        ("by integrator", by_integrator),
         ("uncoupled", f"alpha_e < delta = {_damping(delta)} {_holds(alpha < delta)}; that very environment needs "
                       f"{_damping(behind.alone)}"),
         ("coupled", f"gamma = {_damping(behind.gamma)}; alpha_e < delta gamma/(delta + gamma) = "
@@ -127,7 +127,7 @@ def _behind(one: RenderedImpedance, behind: Behind) -> list[tuple[str, str]]:
 
 
 def lacking(lack: Lack) -> str:
-    """How much passivity an environment lacks, or why no damper makes it passive."""
+    """Name the passivity that an environment lacks, or why no damper makes it passive."""
     return lack.why or (f"lacks {_damping(lack.alpha)}" if lack.alpha > 0.0 else "passive")
 
 
@@ -135,19 +135,19 @@ def _holds(yes: bool) -> str:
     return "holds" if yes else "fails"
 
 
-def _two(two: TwoPorts) -> list[tuple[str, str]]:
+def _two_port_rows(two: TwoPorts) -> list[tuple[str, str]]:
     rows = []
     for name in ("sampled", "continuous"):
         judged: Judged | None = getattr(two, name)
         rows.append((name, two.why_not[name] if judged is None else _llewellyn(judged)))
         if judged is not None:
-            own = "passive" if judged.passive else "not passive"
-            rows.append(("", f"{own} by itself; free motion {_damping(judged.free)} at {UNIT:g} Hz"
-                             f"{_felt(judged, two)}"))
+            alone = "passive" if judged.passive else "not passive"
+            rows.append(("", f"{alone} by itself; free motion {_damping(judged.free)} at {UNIT:g} Hz"
+                             f"{_perceived_stiffness(judged, two)}"))
     return rows
 
 
-def _felt(judged: Judged, two: TwoPorts) -> str:
+def _perceived_stiffness(judged: Judged, two: TwoPorts) -> str:
     if judged.felt is None or not two.stiffness:
         return ""
     return f"; {judged.felt:.4g} N/m felt of {two.stiffness:.4g} N/m touched, at {SLOW:g} Hz"
@@ -158,11 +158,11 @@ def _llewellyn(judged: Judged) -> str:
     if judged.absolutely_stable:
         return f"absolutely stable: {least}"
     bands = [f"{band.low:.4g} to {band.high:.4g}" for band in judged.bands]
-    more = f" and {len(bands) - SHOWN} more" if len(bands) > SHOWN else ""
+    rest = f" and {len(bands) - SHOWN} more" if len(bands) > SHOWN else ""
     where = f"{bands[0]} Hz"
     if len(bands) > 1:
         where = (f"{judged.bands[0].low:.4g} to {judged.bands[-1].high:.4g} Hz in {len(bands)} bands "
-                 f"({', '.join(bands[:SHOWN])}{more})")
+                 f"({', '.join(bands[:SHOWN])}{rest})")
     return f"not absolutely stable: fails at {where}; {least}"
 
 
@@ -193,7 +193,7 @@ def _one_numbers(one: RenderedImpedance, along: Along) -> dict[str, Any]:
         "damping": along(one.damping, DAMPING), "needed_damping": along(one.needed.damping, DAMPING),
         "frequency": WithUnit(one.needed.frequency, "Hz"), "delay": WithUnit(one.d, "ticks"),
         "every": WithUnit(one.every, "ticks"), "stiffness": along(one.stiffness, "N/m"),
-        "quantised_stiffness": along(one.quantised, "N/m"), "encoder_friction": along(one.verdict.asked, "N"),
+        "quantised_stiffness": along(one.quantised, "N/m"), "encoder_friction": along(one.verdict.friction, "N"),
         "shunt": shunt and {"added_damping": along(shunt.adds, DAMPING), "needed_damping": along(shunt.needs, DAMPING),
                             "frequency": WithUnit(shunt.frequency, "Hz")},
         "coupling": behind and {
@@ -225,16 +225,16 @@ def curves(answer: PassivityAnswer) -> dict[str, Any]:
 
     if answer.one is not None:
         f = np.geomspace(answer.low, answer.high, 2000)
-        found = {"frequency": f, "needed_damping": answer.one.curve(f)}
+        arrays = {"frequency": f, "needed_damping": answer.one.curve(f)}
         if answer.one.verdict.shunt is not None:
             from teleop.analysis.models.law_parts import effective_damping
 
-            found["damping_with_shunt"] = effective_damping(answer.scene, 2.0 * np.pi * answer.one.T * f)
+            arrays["damping_with_shunt"] = effective_damping(answer.scene, 2.0 * np.pi * answer.one.T * f)
         if answer.one.behind is not None:
             from teleop.analysis.models.coupling import gap
 
-            found["gap"] = gap(answer.one.behind.C, answer.one.behind.E, answer.one.T, f)
-        return found
+            arrays["gap"] = gap(answer.one.behind.C, answer.one.behind.E, answer.one.T, f)
+        return arrays
     assert answer.two is not None
     two: dict[str, Any] = {}
     for name in ("sampled", "continuous"):
@@ -244,7 +244,7 @@ def curves(answer: PassivityAnswer) -> dict[str, Any]:
             two |= {f"{name}_frequency": port.frequency, f"{name}_h": port.h, f"{name}_eta": port.eta}
             if answer.two.touched is not None:
                 touched = answer.two.touched(port.frequency)
-                two |= {f"{name}_felt": port.felt(touched), f"{name}_touched": touched}
+                two |= {f"{name}_felt": port.perceived_impedance(touched), f"{name}_touched": touched}
     return two
 
 

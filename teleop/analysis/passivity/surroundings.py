@@ -1,4 +1,4 @@
-"""What is around a two-port: the link's delays within it, and the impedance that its slave touches."""
+"""Surroundings of a two-port: the link's delays within it, and the impedance that its slave touches."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def linear_parts(scene: Scene) -> tuple[Scene, list[str]]:
         if getattr(scene, name) is not None:
             changes[name] = None
             left.append(f"ticks that the {whose} leaves out")
-    gaps, own = scene.wave_playout, scene.played_as
+    gaps, played_as = scene.wave_playout, scene.played_as
     if isinstance(gaps, Scaled) or (isinstance(gaps, Integral) and gaps.target > 0.0):
-        changes["playout"] = Fixed(own.delay) if isinstance(own, Fixed) else Zero()
-        left.append(f"playout {as_typed(own)}")
+        changes["playout"] = Fixed(played_as.delay) if isinstance(played_as, Fixed) else Zero()
+        left.append(f"playout {as_typed(played_as)}")
     for name in ("master", "slave"):
         body = getattr(scene, name)
         if body is not None and body.friction > 0.0:
@@ -69,11 +69,11 @@ def delays(scene: Scene, seed: int = 0) -> tuple[float, float]:
     forth, back = ticks(scene, seed)
     if isinstance(scene.played_as, Fixed):
         return forth * scene.dt_ns / 1e9, back * scene.dt_ns / 1e9
-    found = []
+    parts = []
     for direction in (0, 1):
         arrivals = scene.link.arrivals(direction, min(scene.ticks, 1000), scene.dt_ns, seed, scene.wire_size)
-        found.append(float(np.mean(arrivals.time_ns - arrivals.packet * scene.dt_ns)) / 1e9)
-    return found[0], found[1]
+        parts.append(float(np.mean(arrivals.time_ns - arrivals.packet * scene.dt_ns)) / 1e9)
+    return parts[0], parts[1]
 
 
 def touched(scene: Scene, s: Points) -> Points | None:
@@ -103,5 +103,5 @@ def touched(scene: Scene, s: Points) -> Points | None:
     size = abs(force(0.0, 0.0)) + abs(k) * AROUND + abs(d) * SLOW
     if not abs(force(0.5 * AROUND, SLOW) - force(0.0, 0.0) - 0.5 * k * AROUND - d * SLOW) <= 1e-9 * size:
         return None
-    found: Points = d + k / s
-    return found
+    impedance: Points = d + k / s
+    return impedance

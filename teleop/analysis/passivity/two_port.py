@@ -33,7 +33,6 @@ from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models.linear import like, matrix
-from teleop.analysis.passivity.assembly import READINGS, Driven, Readings, assembled, law_transfer
 from teleop.analysis.passivity.surroundings import delays, linear_parts, ticks
 from teleop.errors import Refused
 from teleop.law import At, law_name, start_at
@@ -47,6 +46,79 @@ if TYPE_CHECKING:
     from teleop.analysis.models.linear import Matrix
     from teleop.analysis.models.peak import Points, Reals
     from teleop.physics.plant import MassDamper
+
+
+READINGS = 5  # of an end: x, v, f, f_held, dx
+
+
+class Readings(NamedTuple):
+    """Readings of an end as they follow from force and motion at the port, over frequency."""
+
+    held: Points  # the force held before, over the force now
+    moved: Points  # dx over x
+    sense: Points  # what the law is told of the hand's force, over what a sensor would feel
+    sensed: Points  # that, over v_m
+    through: Points  # that, over f_m
+
+
+class Driven(NamedTuple):
+    """The slave's samples over the force held on it."""
+
+    x: Points
+    v: Points
+
+
+def assembled(s: Points, ends: Any, delay: Any, r: Readings, driven: Driven, *, bare: Points, hold: Points,
+              velocity: Any, inertia: Points, acts: Any = (1.0, 1.0)) -> Points:
+    """h (n, 2, 2) from the equations of both ends: (force, tx) = law (readings, rx), rx the other's tx, delayed.
+
+    s (n,): i w. ends: the laws by `law_transfer`. delay: of a message forth and back, as factors. bare: the slave's
+    velocity over force. hold: what holding makes of a force. velocity: of each end, what the law is told of it over it,
+    None for the truth. inertia: f_h over v_m of the master alone. acts: of each end, the delay of its force, a factor.
+    """
+    import numpy as np
+
+    n, (master, slave) = len(s), ends
+    out, home = master.shape[1] - 1, slave.shape[1] - 1  # fields forth, fields back
+    size = 2 + out + home  # unknown: f_m, f_s as they act, the messages sent forth, those sent back
+    f_m, f_s, forth, back = 0, 1, slice(2, 2 + out), slice(2 + out, size)
+    at_m, at_s = np.zeros((2, n, READINGS, size + 2), dtype=np.complex128)  # of the unknowns, then of v_m and f_env
+    v_m, f_env = size, size + 1
+    at_m[:, 0, v_m], at_m[:, 1, v_m] = 1.0 / s, 1.0 if velocity[0] is None else velocity[0]
+    at_m[:, 2, v_m], at_m[:, 2, f_m] = r.sense * r.sensed, r.sense * r.through
+    at_m[:, 3, f_m], at_m[:, 4] = r.held, r.moved[:, None] * at_m[:, 0]
+    at_s[:, 0, f_s], at_s[:, 0, f_env] = driven.x, -bare / s
+    at_s[:, 1, f_s], at_s[:, 1, f_env] = driven.v, -bare
+    if velocity[1] is not None:  # made of positions
+        at_s[:, 1] = (velocity[1] * s)[:, None] * at_s[:, 0]
+    at_s[:, 2, f_env], at_s[:, 3, f_s], at_s[:, 4] = 1.0, r.held, r.moved[:, None] * at_s[:, 0]
+    both = np.zeros((n, size, size + 2), dtype=np.complex128)
+    for law, at, rx, lag, force, sent, act in ((master, at_m, back, delay[1], f_m, forth, acts[0]),
+                                               (slave, at_s, forth, delay[0], f_s, back, acts[1])):
+        answer = law[:, :, :READINGS] @ at
+        answer[:, :, rx] += law[:, :, READINGS:] * lag[:, None, None]
+        answer[:, 0] *= np.broadcast_to(act, n)[:, None]
+        both[:, force], both[:, sent] = answer[:, 0], answer[:, 1:]
+    unknown = np.linalg.solve(np.eye(size) - both[:, :, :size], both[:, :, size:])
+    h = np.empty((n, 2, 2), dtype=np.complex128)
+    h[:, 0] = hold[:, None] * unknown[:, f_m]
+    h[:, 0, 0] += inertia
+    h[:, 1] = -(bare * hold)[:, None] * unknown[:, f_s]
+    h[:, 1, 1] += bare
+    return h
+
+
+def law_transfer(law: Matrix, states: int, p: Points) -> Points:
+    """(force and message) over (readings, rx) at p = z or s, (n, 1 + fields, READINGS + fields in)."""
+    import numpy as np
+
+    shown = law[states:, states:] + np.zeros((len(p), 1, 1))
+    if not states:
+        return shown.astype(np.complex128)
+    inner: Any = np.linalg.solve(p[:, None, None] * np.eye(states) - law[:states, :states], law[:states, states:] + 0j)
+    response: Points = shown + law[states:, :states] @ inner
+    return response
+
 
 NAMES = {"m": "master", "s": "slave"}
 
@@ -66,18 +138,18 @@ class TwoPort(NamedTuple):
         product = h[:, 0, 1] * h[:, 1, 0]
         size = np.abs(product)
         with np.errstate(divide="ignore", invalid="ignore"):
-            found: Reals = np.where(size > 0.0, (2.0 * h[:, 0, 0].real * h[:, 1, 1].real - product.real) / size, np.inf)
-        return found
+            eta: Reals = np.where(size > 0.0, (2.0 * h[:, 0, 0].real * h[:, 1, 1].real - product.real) / size, np.inf)
+        return eta
 
     @property
     def absolutely_stable(self) -> NDArray[np.bool_]:
         """True at each frequency where Llewellyn's criterion holds, to 1e-9: lossless ends meet it with equality."""
         h = self.h
-        found: NDArray[np.bool_] = (
+        passive: NDArray[np.bool_] = (
             (h[:, 0, 0].real >= -_rounding(h[:, 0, 0])) & (h[:, 1, 1].real >= -_rounding(h[:, 1, 1]))
             & (self.eta >= 1.0 - 1e-9)
         )
-        return found
+        return passive
 
     @property
     def raisbeck(self) -> Reals:
@@ -89,21 +161,21 @@ class TwoPort(NamedTuple):
         import numpy as np
 
         h = self.h
-        found: Reals = 4.0 * h[:, 0, 0].real * h[:, 1, 1].real - np.abs(h[:, 0, 1] + h[:, 1, 0].conj()) ** 2
-        return found
+        margin: Reals = 4.0 * h[:, 0, 0].real * h[:, 1, 1].real - np.abs(h[:, 0, 1] + h[:, 1, 0].conj()) ** 2
+        return margin
 
-    def felt(self, touched: Points) -> Points:
+    def perceived_impedance(self, touched: Points) -> Points:
         """The impedance that the hand feels (N s/m) of an environment `touched` (N s/m, n or a number)."""
         h = self.h
-        found: Points = h[:, 0, 0] - h[:, 0, 1] * h[:, 1, 0] * touched / (1.0 + h[:, 1, 1] * touched)
-        return found
+        impedance: Points = h[:, 0, 0] - h[:, 0, 1] * h[:, 1, 0] * touched / (1.0 + h[:, 1, 1] * touched)
+        return impedance
 
 
 def _rounding(values: Points) -> Reals:
     import numpy as np
 
-    found: Reals = 1e-9 * np.abs(values)
-    return found
+    rounding: Reals = 1e-9 * np.abs(values)
+    return rounding
 
 
 def continuous_two_port(scene: Scene, frequency: Reals) -> TwoPort:
@@ -174,15 +246,15 @@ def sampled_two_port(scene: Scene, frequency: Reals, *, seed: int = 0) -> TwoPor
 
 
 def _law_matrix(scene: Scene, e: str, dt: float, age: float) -> tuple[Matrix, int]:
-    """One end of the law in one axis: (state, x, v, f, f_held, dx, rx) to (state', force, message)."""
+    """Compute one end of the law in one axis: (state, x, v, f, f_held, dx, rx) to (state', force, message)."""
     law: Any = scene.law
     name = NAMES[e]
     end, start, sums = getattr(law, name), getattr(law, f"{name}_start"), getattr(law, f"{name}_sums", None)
     sample, message = start(start_at(0.0, 0.0, 0.0, dt))
     states = len(sample)
 
-    def respond(given: Any) -> list[float]:
-        take = iter(given)
+    def respond(numbers: Any) -> list[float]:
+        take = iter(numbers)
         s = like(sample, take)
         x, v, f, f_held, dx = (next(take) for _ in range(READINGS))
         at = At(x, v, f, f_held, dx, True, age, dt, dt)
@@ -190,13 +262,13 @@ def _law_matrix(scene: Scene, e: str, dt: float, age: float) -> tuple[Matrix, in
         f, tx, after = end(s, at, rx, *((sums(s, at, rx),) if sums else ()))
         return [*after, f, *tx]
 
-    found = matrix(respond, states + READINGS + len(message))
-    if found is None:
+    response = matrix(respond, states + READINGS + len(message))
+    if response is None:
         hint = linear_hint(law, "write ")
         raise Refused(f"law {law_name(law)} is not linear at the {name}, so it has no hybrid matrix; {hint}"
                       f"{', or ' * bool(hint)}run it with teleop run and energy in the scene, which sums what its "
                       "ports take and give")
-    return found, states
+    return response, states
 
 
 def _estimated(device: Any, z: Points, dt: float, s: Points) -> Points | None:
@@ -206,24 +278,24 @@ def _estimated(device: Any, z: Points, dt: float, s: Points) -> Points | None:
     estimator = device.velocity
     c, start = estimator.coefficients(dt), estimator.start(0.0)
 
-    def respond(given: Any) -> list[float]:
-        v, after = estimator.step(c, tuple(given[:-1]), given[-1], dt)
+    def respond(numbers: Any) -> list[float]:
+        v, after = estimator.step(c, tuple(numbers[:-1]), numbers[-1], dt)
         return [*after, v]
 
-    found = matrix(respond, len(start) + 1)
-    if found is None:
+    response = matrix(respond, len(start) + 1)
+    if response is None:
         raise Refused(f"the velocity estimator {type(estimator).__name__} is not linear, so the scene has no hybrid "
                       "matrix; take BackwardDifference or LowPass")
-    made: Points = law_transfer(found, len(start), z)[:, 0, 0] / s
+    made: Points = law_transfer(response, len(start), z)[:, 0, 0] / s
     return made
 
 
 def _mechanical(scene: Scene, s: Points) -> Points:
     """f_h over v_m of the master alone: its mass, damping and the shunt of its motor."""
-    found: NDArray[np.complex128] = scene.master.mass * s + scene.master.damping
+    impedance: NDArray[np.complex128] = scene.master.mass * s + scene.master.damping
     if scene.electrical is not None:
-        found = found + scene.electrical.b * s / (s + 2.0 * pi * scene.electrical.cutoff)
-    return found
+        impedance = impedance + scene.electrical.b * s / (s + 2.0 * pi * scene.electrical.cutoff)
+    return impedance
 
 
 def _need_slave(scene: Scene) -> MassDamper:

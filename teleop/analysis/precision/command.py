@@ -22,10 +22,10 @@ def find(args: Namespace) -> Task:
 
     def work() -> Answer:
         with shown_for(args) as show:
-            found = measure(scene, seed=args.seed, clock=args.nanoseconds, rounds=args.rounds, show=show)
-        return Answer(table(found), summary(found, args.typed),
-                      files={"errors.npz": partial(write_npz, arrays=found.along)},
-                      plots={"precision": partial(draw, found)})
+            precision = measure(scene, seed=args.seed, clock=args.nanoseconds, rounds=args.rounds, show=show)
+        return Answer(table(precision), summary(precision, args.typed),
+                      files={"errors.npz": partial(write_npz, arrays=precision.along)},
+                      plots={"precision": partial(draw, precision)})
 
     return Task(scene.name, work)
 

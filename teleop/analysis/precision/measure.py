@@ -14,16 +14,23 @@ from math import inf, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.models.by_axis import one_loop
-from teleop.analysis.precision.contenders.contenders import Contender
-from teleop.analysis.precision.contenders.outsiders import SOLVERS, TOLERANCES, outsider_bodies, there
-from teleop.analysis.precision.costs import run_costs, step_costs
-from teleop.analysis.precision.reference.deviation import Error, contacts, distance, errors, felt, missed, peak_ratio
+from teleop.analysis.precision.contenders import SOLVERS, TOLERANCES, Contender, outsider_bodies, there
+from teleop.analysis.precision.reference.deviation import (
+    Error,
+    contacts,
+    distance,
+    errors,
+    missed,
+    peak_ratio,
+    touching,
+)
 from teleop.analysis.precision.reference.truth import Truth, truth_of
 from teleop.errors import Refused
-from teleop.simulation.bodies import exact_bodies
+from teleop.physics.plant import move_free, move_gripped
+from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.integrators.nonlinear import goes
-from teleop.simulation.integrators.parts import has_closed_form, slave_of
+from teleop.simulation.integrators.parts import has_closed_form, is_carried, slave_of, whole_plants
 from teleop.simulation.integrators.stepped import method_bodies
 from teleop.simulation.metrics import tracking
 from teleop.simulation.virtual import run
@@ -32,7 +39,9 @@ if TYPE_CHECKING:
     from teleop.scene.scene import Scene
     from teleop.simulation.result import Result
 
+
 Clock = Callable[[], int]
+Move = Callable[..., tuple[Any, ...]]
 Show = Callable[[float, str], None]
 
 SUBSTEPS = (1, 4, 16, 64)
@@ -84,6 +93,7 @@ class Precision:
     entries: Sequence[Entry]
     along: Mapping[str, Any] = field(repr=False)
     left_out: Mapping[str, str]  # and why
+    too_slow: frozenset[str]  # of these, the contenders that there was no time for
 
     @property
     def result(self) -> Result:
@@ -92,7 +102,7 @@ class Precision:
 
 
 def contenders(scene: Scene) -> Iterator[Contender]:
-    """All contenders, the cheaper first. Raises `Refused` without a slave, or without its environment's equation."""
+    """List the contenders, the cheaper first. Raises `Refused` without a slave or its environment's equation."""
     slave_of(scene)
     exact = has_closed_form(scene)
     name, label = ("exact", "exact") if exact else ("default", f"default: SDIRK2 to {scene.tolerance:.0e} m a tick")
@@ -111,11 +121,11 @@ def contenders(scene: Scene) -> Iterator[Contender]:
 
 def unfit(scene: Scene) -> dict[str, str]:
     """Methods that are no contenders on this scene, and why."""
-    found = {m.name: "no solver for its coupled stages where a body is not piecewise linear"
+    reasons = {m.name: "no solver for its coupled stages where a body is not piecewise linear"
              for m in METHODS if not has_closed_form(scene) and not goes(m)}
     if _rubs(scene):
-        found["scipy's solvers"] = "friction jumps at rest, where their steps would become endlessly small"
-    return found
+        reasons["scipy's solvers"] = "friction jumps at rest, where their steps would become endlessly small"
+    return reasons
 
 
 def _rubs(scene: Scene) -> bool:
@@ -142,15 +152,14 @@ def measure(
     reference = truth.result
     trace = reference.trace
     cost = run_costs(everyone, scene, trace, clock, truth.took)
-    chosen, left_out = (everyone, {}) if rounds else _affordable(everyone, cost)
-    left_out = {**unfit(scene), **left_out}
+    chosen, slow = (everyone, {}) if rounds else _affordable(everyone, cost)
     turns = _turns(chosen, rounds)
     total = sum(cost[c.key] for turn in turns for c in turn)
     if not rounds:
         total = min(total, max(budget - (clock() - began) / 1e9, sum(cost[c.key] for c in chosen)))
     times: dict[str, list[float]] = {c.key: [] for c in chosen}
-    found: dict[str, Entry] = {}
-    touches, bins = contacts(felt(scene, trace)), range(0, reference.ticks, -(-reference.ticks // BINS))
+    entries: dict[str, Entry] = {}
+    touches, bins = contacts(touching(scene, trace)), range(0, reference.ticks, -(-reference.ticks // BINS))
     along = {"t": trace["t"][bins]} | {name: _most(size, bins) for name, size in tracking(scene, dict(trace)).items()}
     done = 0.0
     for i, turn in enumerate(turns):
@@ -163,15 +172,15 @@ def measure(
             times[c.key].append((got.run_time or 0.0) / got.ticks * 1e9)
             done += cost[c.key]
             if not i:
-                got = truth.own if c is everyone[0] else got
-                found[c.key] = _entry(c, got, trace, missed(felt(scene, got.trace), touches))
+                got = truth.stack if c is everyone[0] else got
+                entries[c.key] = _entry(c, got, trace, missed(touching(scene, got.trace), touches))
                 along |= {f"{name}:{c.key}": _most(distance(name, got.trace, trace), bins) for name in ("x_s", "f_env")}
     show(1.0, "done")
     return Precision(
         scene=scene, seed=seed, rounds=len(times[everyone[0].key]), truth=truth, contacts=len(touches),
         step_ns=step_costs([c for c in chosen if c is everyone[0] or c.key == EULER], scene, trace, clock, 1000, 15),
-        entries=verdicts([_timed(found[c.key], times[c.key]) for c in chosen], truth.off, reference.status),
-        along=along, left_out=left_out,
+        entries=verdicts([_timed(entries[c.key], times[c.key]) for c in chosen], truth.off, reference.status),
+        along=along, left_out={**unfit(scene), **slow}, too_slow=frozenset(slow),
     )
 
 
@@ -190,11 +199,11 @@ def verdicts(entries: Sequence[Entry], off: Mapping[str, float] | None = None, s
     def accuracy(entry: Entry) -> list[float]:
         lost = entry.status == "diverged" != wanted
         pairs = [(entry.errors[name].max, floor[name]) for name in ("x_s", "f_env")]
-        return [max(own, least) if isfinite(own) and not lost else inf for own, least in pairs]
+        return [max(error, least) if isfinite(error) and not lost else inf for error, least in pairs]
 
-    def beats(one: Entry, other: Entry) -> bool:
-        as_accurate = all(a <= b for a, b in zip(accuracy(one), accuracy(other), strict=True))
-        return as_accurate and other.ns_per_tick > FASTER * one.ns_per_tick
+    def beats(one: Entry, rival: Entry) -> bool:
+        as_accurate = all(a <= b for a, b in zip(accuracy(one), accuracy(rival), strict=True))
+        return as_accurate and rival.ns_per_tick > FASTER * one.ns_per_tick
 
     return [
         replace(e, beaten_by=min((o for o in entries if beats(o, e)),
@@ -260,3 +269,81 @@ def _most(size: Any, bins: range) -> Any:
     whole = np.full(len(bins) * bins.step, np.nan)
     whole[: len(size)] = size
     return np.fmax.reduce(whole.reshape(len(bins), bins.step), axis=1)
+
+
+def step_costs(some: Sequence[Contender], scene: Scene, trace: Mapping[str, Any], clock: Clock, samples: int,
+               rounds: int) -> dict[str, float]:
+    """Nanoseconds to move all bodies by one tick from states of the run, by contender: the least of some rounds.
+
+    An inner state, if there is one, is the one after the sampled tick before.
+    """
+    ran = len(trace["t"])
+    at = range(0, ran, max(1, ran // samples))
+    reference = reference_samples(scene)
+    slaves, masters = ([list(zip(*(column(trace, f"{name}_{e}", i)[at].tolist() for name in "xvf"), strict=True))
+                        for i in range(scene.axes)] for e in "sm")
+    if reference is not None:
+        masters = [[(*state, r[k], r[k + 1]) for k, state in zip(at, bodies, strict=True)]
+                   for r, bodies in zip(reference, masters, strict=True)]
+    elif some[0].bodies.inner_m:
+        masters = [[(*state, 0.0, 0.0) for state in bodies] for bodies in masters]
+    carried = [is_carried(plant) for plant in whole_plants(scene)]
+    jobs: dict[str, list[tuple[Move, Any, list[tuple[Any, ...]]]]] = {}
+    for c in some:
+        bodies = c.bodies
+        move = _master(bodies, held=reference is not None)
+        inner = bodies.inner_m or (None,) * scene.axes
+        jobs[c.key] = [_job(move, held, states, at, z)
+                       for held, states, z in zip(bodies.master, masters, inner, strict=True)]
+        jobs[c.key] += [_job(plant.move, plant.c, states, at, plant.start, ticks=ticks)
+                        for plant, states, ticks in zip(bodies.slaves, slaves, carried, strict=True)]
+    times: dict[str, list[float]] = {key: [] for key in jobs}
+    for _ in range(rounds):
+        for key, job in jobs.items():
+            began = clock()
+            for move, held, states in job:
+                for state in states:
+                    move(held, *state)
+            times[key].append((clock() - began) / len(at))
+    return {key: min(several) for key, several in times.items()}
+
+
+def run_costs(everyone: Sequence[Contender], scene: Scene, trace: Mapping[str, Any], clock: Clock, each: float
+              ) -> dict[str, float]:
+    """Seconds that a run of each contender will take: `each` of the first one, and more where its steps take more."""
+    step: dict[str, float] = {}
+    for c in everyone:
+        step |= step_costs([c], scene, trace, clock, 10 if c.rtol else 50, 2)
+    first = step[everyone[0].key]
+    return {key: each + max(0.0, ns - first) * 1e-9 * scene.ticks for key, ns in step.items()}
+
+
+def column(trace: Mapping[str, Any], name: str, axis: int) -> Any:
+    """Pick one axis of a column of the trace."""
+    values = trace[name]
+    return values if values.ndim == 1 else values[:, axis]
+
+
+def _master(bodies: Bodies, *, held: bool) -> Move:
+    """The function that moves the master."""
+    if bodies.inner_m:
+        move: Move = bodies.instead["move_held"]
+        return move
+    name, exact = ("move_gripped", move_gripped) if held else ("move_free", move_free)
+    return bodies.instead.get(name, exact)  # type: ignore[no-any-return]
+
+
+def _job(move: Move, c: Any, states: list[tuple[Any, ...]], at: range, z: Any, *, ticks: bool = False
+         ) -> tuple[Move, Any, list[tuple[Any, ...]]]:
+    """The function to time, its coefficients, and the states, each followed by the inner state if there is one.
+
+    The inner state of an environment that moves begins with the tick.
+    """
+    if z is None:
+        return move, c, states
+    whole = []
+    for k, state in zip(at, states, strict=True):
+        z = (k, *z[1:]) if ticks else z
+        whole.append((*state, z))
+        z = move(c, *state, z)[-1]
+    return move, c, whole

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.analysis.precision.contenders.outsiders import TOLERANCES
+from teleop.analysis.precision.contenders import TOLERANCES
 from teleop.analysis.precision.measure import SUBSTEPS
 from teleop.analysis.precision.report import axis_of
 from teleop.errors import number_of
@@ -88,16 +88,16 @@ def draw(got: Precision, path: Path, formats: Sequence[str] = PNG) -> list[Path]
 
 
 def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None:
-    """One curve per method, with smaller marks for finer steps."""
+    """Draw a curve for each method, with smaller marks for finer steps."""
     by_method: dict[str, list[Entry]] = {}
     for e in got.entries:
         by_method.setdefault(e.contender.method, []).append(e)
     top = _top(got, series)
     for method, entries in by_method.items():
         entries.sort(key=lambda e: -(e.contender.rtol or 0.0))
-        own = [(e.ns_per_tick * 1e-3, _drawn(e, series, top, got.truth.off[series]), e) for e in entries]
+        points = [(e.ns_per_tick * 1e-3, _height(e, series, top, got.truth.off[series]), e) for e in entries]
         if method in ("exact", "default"):
-            x, y, e = own[0]
+            x, y, e = points[0]
             axes.scatter([x], [y], marker="*", s=220, color=BLACK, zorder=5, label=e.contender.label)
             axes.axvline(x, color=BLACK, linewidth=0.6, alpha=0.5)
             if got.truth.bound:
@@ -105,9 +105,10 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
                              zorder=5, label="its own bound")
             continue
         look = LOOKS[method]
-        axes.plot([x for x, _, _ in own], [y for _, y, _ in own], linestyle=look.line, color=look.colour, linewidth=1.1)
+        axes.plot([x for x, _, _ in points], [y for _, y, _ in points], linestyle=look.line, color=look.colour,
+                  linewidth=1.1)
         axes.plot([], [], linestyle=look.line, color=look.colour, marker=look.marker, label=entries[0].contender.label)
-        for x, y, e in own:
+        for x, y, e in points:
             axes.plot([x], [y], color=look.colour, marker=look.marker, markersize=_mark(e), markeredgecolor="white",
                       markeredgewidth=0.4)
             if e.status == "diverged":
@@ -143,7 +144,7 @@ def _top(got: Precision, series: str) -> float:
     return 30.0 * max([*sizes, 1e-15])
 
 
-def _drawn(e: Entry, series: str, top: float, off: float) -> float:
+def _height(e: Entry, series: str, top: float, off: float) -> float:
     """Place of the error on the logarithmic axis, not below the reference's own error."""
     size = e.errors[series].max
     return min(max(size, off, 1e-18), top) if e.status != "diverged" and isfinite(size) else top

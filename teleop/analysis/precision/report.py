@@ -7,7 +7,7 @@ from dataclasses import asdict
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.contenders.outsiders import there
+from teleop.analysis.precision.contenders import there
 from teleop.analysis.precision.measure import EULER, FASTER
 from teleop.analysis.precision.reference.deviation import SERIES
 from teleop.errors import number_of
@@ -35,9 +35,9 @@ def table(got: Precision) -> str:
         mark = f"by itself at most {si(got.truth.bound['x_s'], 'm')}"
         rows[1] = (*rows[1][:-1], ", ".join([mark, *filter(None, rows[1][-1:])]))
     axis = axis_of(got)
-    told = [tuple([told_along(cell, axis) for cell in row]) for row in rows]
+    cells = [tuple([told_along(cell, axis) for cell in row]) for row in rows]
     lines = [(label, told_along(text, axis)) for label, text in _facts(got)]
-    return f"{columns(told, left=(0, len(HEAD) - 1))}\n\n{facts(lines)}"
+    return f"{columns(cells, left=(0, len(HEAD) - 1))}\n\n{facts(lines)}"
 
 
 def axis_of(got: Precision) -> str:
@@ -52,7 +52,7 @@ def _order(entries: Sequence[Entry]) -> Any:
 
 
 def _row(e: Entry, off: Mapping[str, float]) -> tuple[str, ...]:
-    """One contender. An error that may be the reference's own is shown as a bound."""
+    """The row of a contender. An error that may be the reference's own is shown as a bound."""
     x, f = e.errors["x_s"], e.errors["f_env"]
     sizes = [*(_size(size, off["x_s"], "m") for size in x), *(_size(size, off["f_env"], "N") for size in f[:2])]
     peak = "-" if e.peak_ratio is None else f"{e.peak_ratio:.4g}"
@@ -86,8 +86,8 @@ def _facts(got: Precision) -> list[tuple[str, str]]:
         *_estimated(got),
     ]
     if EULER in got.step_ns:
-        own, euler = got.step_ns[first.key], got.step_ns[EULER]
-        lines.append((f"{first.key}, its cost", f"{own / euler:.2f} semi-implicit Euler steps: {own:.0f} and "
+        stack, euler = got.step_ns[first.key], got.step_ns[EULER]
+        lines.append((f"{first.key}, its cost", f"{stack / euler:.2f} semi-implicit Euler steps: {stack:.0f} and "
                                                 f"{euler:.0f} ns to move all bodies by a tick, without the loop"))
     for label, name, unit, what in TRACKING:
         if f"{name}_rms" in got.result.metrics:
@@ -108,8 +108,8 @@ def one_tick(got: Precision) -> str:
     every = (f"all {number_of(first.count, 'step')} of the run ({bodies}, every tick; {integrated}{first.changes} with "
              "a change of mode), each from the reference's state: ")
     return every + "; ".join(
-        f"off {method} by at most {si(own.x, 'm')}, {si(own.v, 'm/s')}" + f" ({own.gave_up} not compared: it gave up)"
-        * (own.gave_up > 0) for method, own in got.truth.steps.items())
+        f"off {method} by at most {si(one.x, 'm')}, {si(one.v, 'm/s')}" + f" ({one.gave_up} not compared: it gave up)"
+        * (one.gave_up > 0) for method, one in got.truth.steps.items())
 
 
 def _estimated(got: Precision) -> list[tuple[str, str]]:
@@ -143,10 +143,10 @@ def _bound(got: Precision) -> str:
 
 def _left_out(got: Precision) -> dict[str, list[str]]:
     """Contenders that are left out, by reason; all that there was no time for under one reason."""
-    found: dict[str, list[str]] = {}
+    by_reason: dict[str, list[str]] = {}
     for key, why in got.left_out.items():
-        found.setdefault(NO_TIME if why.startswith("a run would take") else why, []).append(key)
-    return found
+        by_reason.setdefault(NO_TIME if key in got.too_slow else why, []).append(key)
+    return by_reason
 
 
 def verdict(got: Precision) -> str:

@@ -1,10 +1,18 @@
-"""Stability of a scene: the verdict, its margins, and the critical value of a knob; the answers of `teleop stability`.
+"""Stability of a scene: the verdict, its margins, and the critical value of a knob; the answers of `teleop
+stability`.
 
     stability(load_scene("soft_tissue", law="direct")).verdict
     critical(lambda k: load_scene("soft_tissue", k_e=k), "k_e", low=10.0, high=1e5)
 
 A linear scene is answered for by the roots of its exact sampled loop (`linear`, `loop`), counted and not
 estimated; one that is not linear by a run in virtual time (`swing`).
+
+What is not linear is run once as it is. It is run again with the hand staying where the slave touched hardest, or
+without a slave where the master was pushed hardest (half way, if there was no force), after a kick of `KICK` along
+the first axis, or along each where axes have parts of their own; without a hand the master starts that far off. What
+then remains is the loop's own motion, and what it comes to is told by `teleop.analysis.models.rest`.
+
+This is one experiment about one place: a nonlinear loop may answer otherwise to another kick or another place.
 """
 
 from __future__ import annotations
@@ -15,11 +23,17 @@ from functools import cache
 from math import ceil, floor, inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.analysis.models.by_axis import own_parts
+from teleop.analysis.models.rest import FreeMotion, HeldGrip, settled
 from teleop.errors import Refused, number
+from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
+from teleop.simulation.rest import WINDOWS
 
 if TYPE_CHECKING:
     from teleop.analysis.models.roots import Mode
+    from teleop.simulation.result import Result
+
 
 PLACES = 33  # of a range that are tried before it is halved
 HALVED = 5  # times: a step of 1.25 to 1.007
@@ -66,7 +80,7 @@ class Stability:
 
 
 class AxisStability(NamedTuple):
-    """What was found of axes that are alike, each by itself."""
+    """Stability of axes that are alike, each by itself."""
 
     names: tuple[str, ...]
     found: Stability
@@ -82,7 +96,7 @@ class Change(NamedTuple):
 
 
 class Critical(NamedTuple):
-    """Where a knob changes the verdict: between `low` and `high`."""
+    """Value of a knob at which the verdict changes, between `low` and `high`."""
 
     knob: str
     value: float  # the middle; of whole numbers, and where `method` is stepwise: `high`, the first beyond the change
@@ -110,7 +124,7 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
 
     if scene.axes > 1 and not couples(scene):
         refuse_nonlinear_parts(about_rest(with_linear_law(scene)))  # of all axes at once
-        return _of_axes([AxisStability(names, stability(own, seed=seed)) for own, names in alike(scene)])
+        return _of_axes([AxisStability(names, stability(single, seed=seed)) for single, names in alike(scene)])
     if scene.slave is None:
         return _one_port(scene)
     linear = linear_scene(scene, seed=seed)
@@ -143,11 +157,11 @@ def _one_port(scene: Scene) -> Stability:
     """The same of a scene without a slave: the loop in contact, its delay that of the computation."""
     from teleop.analysis.models.one_port_loop import margins
 
-    found = margins(scene)
+    margin = margins(scene)
     return Stability(
-        scene=scene.name, unstable=found.unstable, integrators=found.integrators,
-        forth=0 if scene.device_m is None else scene.device_m.delay, back=0, dt=scene.dt_ns / 1e9, mode=found.mode,
-        gain_margin=found.gain_margin, critical_round_trip=found.critical_delay, alone=True, tried=found.tried,
+        scene=scene.name, unstable=margin.unstable, integrators=margin.integrators,
+        forth=0 if scene.device_m is None else scene.device_m.delay, back=0, dt=scene.dt_ns / 1e9, mode=margin.mode,
+        gain_margin=margin.gain_margin, critical_round_trip=margin.critical_delay, alone=True, tried=margin.tried,
     )
 
 
@@ -156,7 +170,7 @@ def is_stable(scene: Scene, *, seed: int = 0) -> bool:
     from teleop.analysis.models.by_axis import alike, couples
 
     if scene.axes > 1 and not couples(scene):
-        return all(is_stable(own, seed=seed) for own, _ in alike(scene))
+        return all(is_stable(single, seed=seed) for single, _ in alike(scene))
     if scene.slave is None:
         from teleop.analysis.models.one_port_loop import settles
 
@@ -170,8 +184,6 @@ def is_stable(scene: Scene, *, seed: int = 0) -> bool:
 
 def rests(scene: Scene, *, seed: int = 0) -> bool:
     """True if the scene comes to rest in virtual time: a limit cycle is no rest, a few steps of an encoder are."""
-    from teleop.analysis.stability.swing import swing
-
     return swing(scene, seed=seed).rests
 
 
@@ -190,21 +202,21 @@ def critical(
     if tol is not None:
         number("tol", tol, above=0.0)
     values = places_of(knob, low, high, places, whole)
-    asked = _asking(make, judge, tell)
-    brackets = _brackets(knob, values, asked, near)
+    verdict_at = _asking(make, judge, tell)
+    brackets = _brackets(knob, values, verdict_at, near)
 
     def refined(low: float, high: float) -> Change:
-        below = asked(low)
+        below = verdict_at(low)
         while high - low > (1e-6 * max(abs(low), abs(high)) if tol is None else tol):
             middle = _middle(low, high, whole)
             if middle in (low, high):
                 break
-            low, high = (middle, high) if asked(middle) == below else (low, middle)
+            low, high = (middle, high) if verdict_at(middle) == below else (low, middle)
         return Change(high if whole else 0.5 * (low + high), low, high, "below" if below else "above")
 
-    found = tuple(refined(values[i], values[i + 1]) for i in brackets)
-    own = min(range(len(found)), key=lambda j: abs(brackets[j] + 0.5 - _place(values, near)))
-    return Critical(knob, *found[own], len(found), found, "bisection", asked.cache_info().currsize)
+    changes = tuple(refined(values[i], values[i + 1]) for i in brackets)
+    nearest = min(range(len(changes)), key=lambda j: abs(brackets[j] + 0.5 - _place(values, near)))
+    return Critical(knob, *changes[nearest], len(changes), changes, "bisection", verdict_at.cache_info().currsize)
 
 
 def lowest(
@@ -222,33 +234,33 @@ def lowest(
     if tol is not None:
         number("tol", tol, above=0.0)
     values = places_of(knob, low, high, places, whole)
-    asked = _asking(make, judge, tell)
-    brackets = _brackets(knob, values, asked, near)
+    verdict_at = _asking(make, judge, tell)
+    brackets = _brackets(knob, values, verdict_at, near)
     under, over = values[brackets[0]], values[brackets[0] + 1]
-    below, halvings = asked(under), 0
+    below, halvings = verdict_at(under), 0
     while halvings < HALVED if tol is None else over - under > tol:
         middle = _middle(under, over, whole)
         if middle in (under, over):
             break
-        under, over = (middle, over) if asked(middle) == below else (under, middle)
+        under, over = (middle, over) if verdict_at(middle) == below else (under, middle)
         halvings += 1
     first = Change(over, under, over, "below" if below else "above")
-    later = (Change(values[i + 1], values[i], values[i + 1], "below" if asked(values[i]) else "above")
+    later = (Change(values[i + 1], values[i], values[i + 1], "below" if verdict_at(values[i]) else "above")
              for i in brackets[1:])
-    return Critical(knob, *first, len(brackets), (first, *later), "stepwise", asked.cache_info().currsize)
+    return Critical(knob, *first, len(brackets), (first, *later), "stepwise", verdict_at.cache_info().currsize)
 
 
 def _asking(make: Callable[[float], Scene], judge: Callable[[Scene], bool], tell: Tell | None) -> Any:
     """The verdict on a value of the knob, worked out once."""
 
     @cache
-    def asked(value: float) -> bool:
+    def verdict_on(value: float) -> bool:
         verdict = judge(make(value))
         if tell is not None:
             tell(value, verdict)
         return verdict
 
-    return asked
+    return verdict_on
 
 
 def places_of(knob: str, low: float, high: float, places: int, whole: bool) -> list[float]:
@@ -264,14 +276,16 @@ def places_of(knob: str, low: float, high: float, places: int, whole: bool) -> l
     return sorted({round(value) for value in _spread(ceil(low), floor(high), places)})
 
 
-def _brackets(knob: str, values: list[float], asked: Callable[[float], bool], near: float | None) -> list[int]:
+def _brackets(knob: str, values: list[float], verdict_at: Callable[[float], bool], near: float | None) -> list[int]:
     """The places after which the verdict is another."""
-    changes = [i for i in range(len(values) - 1) if asked(values[i]) != asked(values[i + 1])]
+    changes = [i for i in range(len(values) - 1) if verdict_at(values[i]) != verdict_at(values[i + 1])]
     if not changes:
-        side = "stable" if asked(values[0]) else "unstable"
-        own = "" if near is None else f", and {'stable' if asked(near) else 'unstable'} at its own, {knob}={near:g}"
+        side = "stable" if verdict_at(values[0]) else "unstable"
+        known = ""
+        if near is not None:
+            known = f", and {'stable' if verdict_at(near) else 'unstable'} at its own, {knob}={near:g}"
         raise Refused(f"{knob} has no critical value from {values[0]:g} to {values[-1]:g}: the scene is {side} at all "
-                      f"{len(values)} values tried{own}; give another --range")
+                      f"{len(values)} values tried{known}; give another --range")
     return changes
 
 
@@ -287,9 +301,68 @@ def _spread(low: float, high: float, places: int) -> list[float]:
 
 
 def _place(values: list[float], near: float | None) -> float:
-    """Where among the values `near` lies, as an index."""
+    """The index at which `near` lies among the values."""
     if near is None:
         return 0.0
     from bisect import bisect
 
     return bisect(values, near) - 0.5
+
+
+KICK = 1e-3  # m
+LEAST = 50 * WINDOWS  # ticks
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Staying:
+    """A reference that follows `path` up to tick `until` and stays there, after one kick along the `kicked` axes."""
+
+    path: Reference
+    until: int
+    kicked: tuple[int, ...] = (0,)
+
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+        """For each axis the position (m) at the ticks 0 .. count-1."""
+        moved = self.path.samples(axes, self.until + 1, dt_ns)
+        rise = max(1, 10_000_000 // dt_ns)  # 10 ms up and as long down
+        pulse = [KICK * min(i, 2 * rise - i) / rise for i in range(1, 2 * rise)]
+        tail = [[place[-1]] * (count - self.until - 1) for place in moved]
+        for i in self.kicked:
+            tail[i] = [at + extra for at, extra in zip(tail[i], pulse + [0.0] * len(tail[i]), strict=False)]
+        return tuple([*place, *rest][:count] for place, rest in zip(moved, tail, strict=True))
+
+
+def swing(scene: Scene, *, seed: int = 0) -> FreeMotion:
+    """Run `scene` and say whether it comes to rest, keeps swinging, or does not stay bounded."""
+    from teleop.simulation.virtual import run
+
+    first = run(scene, seed=seed)
+    if first.status == "diverged":
+        return FreeMotion("unstable", first.sentence, None, None, False)
+    since = 0 if scene.hand is None else _hardest(first)
+    trip = first.metrics.get("T_fwd_mean", 0.0) + first.metrics.get("T_bwd_mean", 0.0)
+    dt = scene.dt_ns / 1e9
+    lasting = max(scene.duration, 5.0 * WINDOWS * trip, LEAST * dt)
+    kicked = replace(scene, duration=since * dt + lasting, energy=False)
+    axes = kicked_axes(scene)
+    if scene.hand is None:
+        start = scene.vector("start_m", scene.start_m)
+        kicked = replace(kicked, start_m=tuple([x + KICK * (i in axes) for i, x in enumerate(start)]))
+    else:
+        hands = [hand and HeldGrip(mass=hand.mass, k=hand.k, d=hand.d, reference=Staying(
+            path=hand.reference, until=since, kicked=axes)) for hand in scene.per_axis("hand")]
+        kicked = replace(kicked, hand=tuple(hands) if isinstance(scene.hand, tuple) else hands[0])
+    return settled(kicked, since=since, seed=seed)
+
+
+def kicked_axes(scene: Scene) -> tuple[int, ...]:
+    """The axes that are kicked: the first, and each with parts of its own, whose loop is another."""
+    return tuple(range(scene.axes)) if own_parts(scene) else (0,)
+
+
+def _hardest(result: Result) -> int:
+    """The tick at which the slave pressed hardest (without one: the master was pushed hardest), or the middle one."""
+    import numpy as np
+
+    touch = np.abs(result.trace.get("f_env", result.trace["f_m"])).reshape(result.ticks, -1).max(axis=1)
+    return int(touch.argmax()) if touch.max() > 0.0 else result.ticks // 2

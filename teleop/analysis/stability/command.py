@@ -33,39 +33,39 @@ def find(args: Namespace) -> Task:
 
     def work() -> Answer:
         with shown_for(args) as show:
-            found = ask(args.scene, knobs, seed=args.seed, in_time=args.time, continuous=args.continuous,
+            judged = ask(args.scene, knobs, seed=args.seed, in_time=args.time, continuous=args.continuous,
                         knob=args.critical, span=args.range, tol=args.tol, show=show)
-        return _with_plots(args, found) if formats else _answer(args, found)
+        return _with_plots(args, judged) if formats else _answer(args, judged)
 
     return Task(scene.name, work)
 
 
-def _answer(args: Namespace, found: StabilityAnswer, drawn: Mapping[str, Any] | None = None) -> Answer:
-    return Answer(table(found), summary(found, args.typed, drawn), DONE if found.finished else INTERRUPTED)
+def _answer(args: Namespace, judged: StabilityAnswer, drawn: Mapping[str, Any] | None = None) -> Answer:
+    return Answer(table(judged), summary(judged, args.typed, drawn), DONE if judged.finished else INTERRUPTED)
 
 
-def _with_plots(args: Namespace, found: StabilityAnswer) -> Answer:
+def _with_plots(args: Namespace, judged: StabilityAnswer) -> Answer:
     """The answer with its plots and the numbers behind them."""
     from teleop.analysis.stability.picture import curves, numbers, picture, sweep
     from teleop.analysis.stability.plot import draw, draw_swept
 
     swept = None
-    if found.edge is not None:
-        knobs, knob, values = knobs_from(args), found.edge.knob, found.places
+    if judged.edge is not None:
+        knobs, knob, values = knobs_from(args), judged.edge.knob, judged.places
         try:
             with shown_for(args) as show:
                 swept = sweep(lambda value: load_scene(args.scene, **{**knobs, knob: value}), values, seed=args.seed,
                               tell=lambda done: show(done / len(values), f"margins over {knob}"))
         except KeyboardInterrupt:
-            found = found._replace(cut_short=True)
-    assert isinstance(found.found, Stability)  # `find` refuses the other
+            judged = judged._replace(cut_short=True)
+    assert isinstance(judged.found, Stability)  # `find` refuses the other
     with interrupts_wait():
-        drawn = picture(found.scene, unstable=found.found.unstable > 0, gain_margin=found.found.gain_margin,
+        drawn = picture(judged.scene, unstable=judged.found.unstable > 0, gain_margin=judged.found.gain_margin,
                         seed=args.seed)
-    plots = {"stability": partial(draw, found, drawn)}
+    plots = {"stability": partial(draw, judged, drawn)}
     if swept is not None:
-        plots["critical"] = partial(draw_swept, found, swept)
-    return _answer(args, found, numbers(drawn))._replace(
+        plots["critical"] = partial(draw_swept, judged, swept)
+    return _answer(args, judged, numbers(drawn))._replace(
         files={"curves.npz": partial(write_npz, arrays=curves(drawn, swept))}, plots=plots)
 
 

@@ -43,14 +43,14 @@ class OpenLoop(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """What is drawn of one scene."""
+    """Numbers that are drawn of one scene."""
 
     roots: Roots
     period: float  # s, after which a motion z^k is taken
-    loop: OpenLoop | None  # None: the loop cannot be cut open, see `opened`
+    loop: OpenLoop | None  # None: the loop cannot be cut open, see `cut_open`
 
 
-class Swept(NamedTuple):
+class MarginCurves(NamedTuple):
     """Margins over values of a knob, each (n,); nan where there is none."""
 
     values: Reals
@@ -79,9 +79,9 @@ def picture(scene: Scene, *, unstable: bool, gain_margin: float | None, seed: in
 def linear_loop(scene: Scene, seed: int) -> LinearScene | None:
     """The scene as two ends and the delay between them; None for a loop that cannot be cut so."""
     if scene.slave is None:
-        from teleop.analysis.models.one_port_loop import opened
+        from teleop.analysis.models.one_port_loop import cut_open
 
-        return opened(scene)
+        return cut_open(scene)
     from teleop.analysis.models.linear import linear_scene
 
     return linear_scene(scene, seed=seed)
@@ -102,12 +102,12 @@ def open_loop(linear: LinearScene, *, unstable: bool, gain_margin: float | None)
 
 def _phase_margin(linear: LinearScene) -> tuple[float | None, float | None]:
     """The least angle (rad) to -1 where the magnitude is 1, and that frequency (Hz)."""
-    d, found = linear.round_trip, []
+    d, angles = linear.round_trip, []
     for crossing in sampled_loop(linear).crossings(d):
         if crossing.at.imag > 2.0 * indent(linear):
             psi = (crossing.log - d * crossing.at).imag
-            found.append((abs((psi + pi) % (2.0 * pi) - pi), crossing.at.imag / (2.0 * pi * linear.dt)))
-    return min(found) if found else (None, None)
+            angles.append((abs((psi + pi) % (2.0 * pi) - pi), crossing.at.imag / (2.0 * pi * linear.dt)))
+    return min(angles) if angles else (None, None)
 
 
 def _phase_crossover(f: Reals, L: Points, gain_margin: float | None) -> float | None:
@@ -119,13 +119,13 @@ def _phase_crossover(f: Reals, L: Points, gain_margin: float | None) -> float | 
     passed = (L.imag[1:] * L.imag[:-1] <= 0.0) & (L.real[1:] < 0.0) & (L.real[:-1] < 0.0)
     i, j = np.nonzero(passed)
     ends = [(float(f[k]), float(abs(size))) for k in (0, -1) for size in L[k] if abs(np.angle(-size)) < 1e-2]
-    found = ends + [(float(f[a]), float(abs(L[a, b]))) for a, b in zip(i, j, strict=True)]
-    near = min(found, key=lambda one: abs(np.log(max(one[1], 1e-300) * gain_margin)), default=None)
+    crossings = ends + [(float(f[a]), float(abs(L[a, b]))) for a, b in zip(i, j, strict=True)]
+    near = min(crossings, key=lambda one: abs(np.log(max(one[1], 1e-300) * gain_margin)), default=None)
     return near[0] if near is not None and abs(near[1] * gain_margin - 1.0) < 0.2 else None
 
 
 def sweep(make: Callable[[float], Scene], values: Sequence[float], *, seed: int = 0,
-          tell: Callable[[int], None] | None = None) -> Swept:
+          tell: Callable[[int], None] | None = None) -> MarginCurves:
     """The dominant growth rate and both margins at values of a knob. `tell` is called with how many are done."""
     import numpy as np
 
@@ -135,7 +135,7 @@ def sweep(make: Callable[[float], Scene], values: Sequence[float], *, seed: int 
         if tell is not None:
             tell(i + 1)
     growth, gain, phase = np.array(rows, dtype=float).reshape(-1, 3).T
-    return Swept(np.array(values, dtype=float), growth, gain, phase)
+    return MarginCurves(np.array(values, dtype=float), growth, gain, phase)
 
 
 def _margins(scene: Scene, seed: int) -> tuple[float | None, float | None, float | None]:
@@ -146,7 +146,7 @@ def _margins(scene: Scene, seed: int) -> tuple[float | None, float | None, float
     from teleop.analysis.models.by_axis import alike, couples
 
     if scene.axes > 1 and not couples(scene):
-        every = [_margins(own, seed) for own, _ in alike(scene)]
+        every = [_margins(single, seed) for single, _ in alike(scene)]
         shaky = [each for each in every if each[0] is not None and each[0] > 0.0] or every
         return (max((a for a, _, _ in every if a is not None), default=None),
                 min((b for _, b, _ in shaky if b is not None), default=None),
@@ -155,8 +155,8 @@ def _margins(scene: Scene, seed: int) -> tuple[float | None, float | None, float
     if scene.slave is None:
         from teleop.analysis.models.one_port_loop import gain_and_mode
 
-        found = gain_and_mode(scene, linear)
-        mode, gain, unstable = found.mode, found.gain_margin, found.unstable
+        margin = gain_and_mode(scene, linear)
+        mode, gain, unstable = margin.mode, margin.gain_margin, margin.unstable
     else:
         from teleop.analysis.models.margins import gain_margin, integrators
 
@@ -179,9 +179,9 @@ def numbers(drawn: Picture) -> dict[str, Any]:
     }
 
 
-def curves(drawn: Picture, swept: Swept | None) -> dict[str, Any]:
+def curves(drawn: Picture, swept: MarginCurves | None) -> dict[str, Any]:
     """The arrays: `roots` z, `frequency` and `L` of the open loop, and of a knob `swept_values` and what is over it."""
-    found: dict[str, Any] = {"roots": drawn.roots.z}
+    arrays: dict[str, Any] = {"roots": drawn.roots.z}
     if drawn.loop is not None:
-        found |= {"frequency": drawn.loop.frequency, "L": drawn.loop.L}
-    return found if swept is None else found | {f"swept_{name}": each for name, each in swept._asdict().items()}
+        arrays |= {"frequency": drawn.loop.frequency, "L": drawn.loop.L}
+    return arrays if swept is None else arrays | {f"swept_{name}": each for name, each in swept._asdict().items()}

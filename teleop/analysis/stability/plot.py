@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from teleop.analysis.stability.picture import OpenLoop, Picture, Swept
+    from teleop.analysis.stability.picture import MarginCurves, OpenLoop, Picture
     from teleop.analysis.stability.report import StabilityAnswer
 
 NEAREST = 40  # roots that the s-plane is scaled to
@@ -114,10 +114,10 @@ def _s_plane(axes: Axes, answer: StabilityAnswer, drawn: Picture) -> None:
         seen = frequency[growth >= left]
         high = max(float(seen.max()), 1e-9)
         axes.set_ylim(-0.04 * high, 1.08 * high)
-        own = abs(order[0]) if abs(order[0]) * drawn.period > 1e-6 else float(np.abs(order[1:2]).max(initial=0.0))
-        if -left > WIDE * own > 0.0:  # the slow ones apart, the fast ones on the same page
+        slowest = abs(order[0]) if abs(order[0]) * drawn.period > 1e-6 else float(np.abs(order[1:2]).max(initial=0.0))
+        if -left > WIDE * slowest > 0.0:  # the slow ones apart, the fast ones on the same page
             first = max(0.01 * high, float(frequency[growth.argmax()]))
-            slow, low = (10.0 ** ceil(log10(each)) for each in (own, first))
+            slow, low = (10.0 ** ceil(log10(each)) for each in (slowest, first))
             axes.set_xscale("symlog", linthresh=slow)
             axes.set_yscale("symlog", linthresh=low)
             axes.set_xlim(1.6 * left, max(1.6 * right, 0.3 * slow))
@@ -125,8 +125,8 @@ def _s_plane(axes: Axes, answer: StabilityAnswer, drawn: Picture) -> None:
         else:
             axes.locator_params(axis="x", nbins=6)
     hidden = int((growth < order[min(NEAREST, order.size) - 1]).sum()) if order.size else 0
-    more = f", {hidden} more to the left" if hidden else ""
-    axes.set_title(f"roots as motions, log z/T{more}", fontsize=10)
+    beyond = f", {hidden} more to the left" if hidden else ""
+    axes.set_title(f"roots as motions, log z/T{beyond}", fontsize=10)
     axes.set_xlabel("growth rate (1/s)")
     axes.set_ylabel("frequency (Hz)")
     grid_lines(axes)
@@ -151,7 +151,7 @@ def _z_plane(axes: Axes, drawn: Picture) -> None:
     grid_lines(axes)
 
 
-def _gain_said(answer: StabilityAnswer) -> str:
+def _describe_gain(answer: StabilityAnswer) -> str:
     gain = getattr(answer.found, "gain_margin", None)
     if gain is None:
         return "no gain margin"
@@ -181,10 +181,11 @@ def _bode(magnitude: Axes, phase: Axes, answer: StabilityAnswer, loop: OpenLoop)
     if loop.phase_crossover and gain is not None:
         for axes in (magnitude, phase):
             axes.axvline(loop.phase_crossover, color=FAILS, linestyle=":", linewidth=1.2,
-                         label=f"{_gain_said(answer)}, {si(loop.phase_crossover, 'Hz')}" if axes is magnitude else None)
+                         label=f"{_describe_gain(answer)}, {si(loop.phase_crossover, 'Hz')}" if axes is magnitude
+                         else None)
         magnitude.plot([loop.phase_crossover] * 2, [0.0, -20.0 * log10(gain)], color=FAILS, linewidth=2.0)
     else:
-        magnitude.plot([], [], " ", label=_gain_said(answer) + (" at rest" if gain == 1.0 else ""))
+        magnitude.plot([], [], " ", label=_describe_gain(answer) + (" at rest" if gain == 1.0 else ""))
     top = 20.0 * log10(max(float(size.max()), 1e-9))
     magnitude.set_ylim(max(min(-40.0, top - 20.0), top - 120.0), max(top, 0.0) + 8.0)
     angles = [line.get_ydata() for line in phase.get_lines()[:int(loud.sum())]]
@@ -193,8 +194,8 @@ def _bode(magnitude: Axes, phase: Axes, answer: StabilityAnswer, loop: OpenLoop)
     phase.set_ylim(max(low - 30.0, -FAR), min(high + 30.0, FAR))
     step = 90.0 if high - max(low, -FAR) < 500.0 else 180.0
     phase.set_yticks(np.arange(step * np.ceil(max(low - 30.0, -FAR) / step), min(high + 30.0, FAR) + 1.0, step))
-    told = "open loop L" if low >= -FAR else "open loop L; the delay makes its phase fall on below the axis"
-    magnitude.set_title(told, fontsize=10)
+    title = "open loop L" if low >= -FAR else "open loop L; the delay makes its phase fall on below the axis"
+    magnitude.set_title(title, fontsize=10)
     magnitude.set_ylabel("magnitude (dB)")
     phase.set_ylabel("phase (deg)")
     phase.set_xlabel("frequency (Hz)")
@@ -226,7 +227,7 @@ def _nyquist(axes: Axes, answer: StabilityAnswer, loop: OpenLoop) -> None:
     axes.plot([-1.0], [0.0], "+", color=FAILS, markersize=11, markeredgewidth=1.8, label="-1")
     gain = getattr(answer.found, "gain_margin", None)
     if gain is not None and turns <= MOST_TURNS:
-        axes.plot([-1.0 / gain], [0.0], "o", color=FAILS, markersize=6, label=_gain_said(answer))
+        axes.plot([-1.0 / gain], [0.0], "o", color=FAILS, markersize=6, label=_describe_gain(answer))
     if loop.phase_margin is not None and turns <= MOST_TURNS:
         angle = pi - loop.phase_margin
         axes.plot([np.cos(angle)] * 2, [np.sin(angle), -np.sin(angle)], "d", color=GREEN, markersize=6,
@@ -242,7 +243,7 @@ def _nyquist(axes: Axes, answer: StabilityAnswer, loop: OpenLoop) -> None:
     _legend(axes, loc="upper left", bbox_to_anchor=(1.02, 1.0), borderaxespad=0.0)
 
 
-def draw_swept(answer: StabilityAnswer, swept: Swept, path: Path, formats: Sequence[str]) -> list[Path]:
+def draw_swept(answer: StabilityAnswer, swept: MarginCurves, path: Path, formats: Sequence[str]) -> list[Path]:
     """Draw growth rate and margins over the knob as `path` in each of `formats`; returns the files."""
     import numpy as np
 
@@ -251,7 +252,7 @@ def draw_swept(answer: StabilityAnswer, swept: Swept, path: Path, formats: Seque
     figure = new_figure((9.5, 8.5), f"{literal(titled(answer.scene))}: stability over {literal(edge.knob)}")
     over = {"growth rate (1/s)": swept.growth, "gain margin (dB)": 20.0 * np.log10(swept.gain_margin),
             "phase margin (deg)": np.degrees(swept.phase_margin)}
-    over = {label: each for label, each in over.items() if np.isfinite(each).any()}  # none: see `Swept`
+    over = {label: each for label, each in over.items() if np.isfinite(each).any()}  # none: see `MarginCurves`
     panels = figure.subplots(len(over), 1, sharex=True, squeeze=False)[:, 0]
     values, growth, last = swept.values, panels[0], panels[-1]
     for axes, (label, each) in zip(panels, over.items(), strict=True):
@@ -259,16 +260,16 @@ def draw_swept(answer: StabilityAnswer, swept: Swept, path: Path, formats: Seque
         axes.set_ylabel(label)
     growth.fill_between(values, 0.0, swept.growth, where=list(swept.growth > 0.0), color=FAILS, alpha=0.15,
                         interpolate=True, linewidth=0.0, label="grows")
-    own, unit = own_value(answer.scene, edge.knob), answer.unit
+    scene_value, unit = own_value(answer.scene, edge.knob), answer.unit
     for axes in panels:
         axes.axhline(0.0, color=DARK, linewidth=0.8)
         for i, one in enumerate(edge.all):
             axes.axvline(one.value, color=FAILS, linestyle="--", linewidth=1.1,
                          label=f"critical: {', '.join(f'{each.value:.5g}' for each in edge.all)}{unit}"
                          if i == 0 and axes is growth else None)
-        if values[0] <= own <= values[-1]:
-            axes.axvline(own, color=GREY, linestyle=":", linewidth=1.1,
-                         label=f"the scene's own: {own:.5g}{unit}" if axes is growth else None)
+        if values[0] <= scene_value <= values[-1]:
+            axes.axvline(scene_value, color=GREY, linestyle=":", linewidth=1.1,
+                         label=f"the scene's own: {scene_value:.5g}{unit}" if axes is growth else None)
         grid_lines(axes)
     if values[0] > 0.0 and values[-1] > 10.0 * values[0]:
         last.set_xscale("log")

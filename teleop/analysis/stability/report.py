@@ -1,4 +1,4 @@
-"""What `teleop stability` answers: the questions of the command line put, and the answer as a table and as JSON."""
+"""Output of `teleop stability`: the command line's questions put, and the result as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ TOLD = 4  # further changes in the table
 
 
 class SoFar(NamedTuple):
-    """What an interrupted search for a critical value knows: the values that were judged, upwards."""
+    """Values that an interrupted search for a critical value has judged, upwards."""
 
     knob: str
     tried: tuple[tuple[float, bool], ...]  # a value, and is it stable there
 
     @property
     def changes(self) -> list[tuple[float, float]]:
-        """All neighbours with a change of the verdict between them."""
+        """Neighbours with a change of the verdict between them."""
         return [(a[0], b[0]) for a, b in pairwise(self.tried) if a[1] != b[1]]
 
     def between(self, near: float | None) -> tuple[float, float] | None:
@@ -58,7 +58,7 @@ class SoFar(NamedTuple):
 
 
 class StabilityAnswer(NamedTuple):
-    """All that was asked."""
+    """Result of the analysis: verdict, continuous limit and critical value."""
 
     scene: Scene
     found: Stability | FreeMotion
@@ -108,13 +108,13 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     if in_time and continuous:
         raise Refused("--continuous is for linear scenes and --time for the others; leave one of them out")
     scene = load_scene(name, **knobs)
-    own = None if knob is None else own_value(scene, knob)
-    low, high = (0.0, 0.0) if knob is None or own is None else _span(knob, own, span)
+    scene_value = None if knob is None else own_value(scene, knob)
+    low, high = (0.0, 0.0) if knob is None or scene_value is None else _span(knob, scene_value, span)
     closeness = None if tol is None else typed_number("--tol", tol, example="0.01", above=0.0)
     found: Stability | FreeMotion
     limit = None
     if in_time:
-        from teleop.analysis.stability.swing import swing
+        from teleop.analysis.stability.assess import swing
 
         found = swing(scene, seed=seed)
     else:
@@ -123,7 +123,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
         from teleop.analysis.models.continuous import continuous as without_clock
 
         limit = without_clock(scene)
-    if knob is None or own is None:
+    if knob is None or scene_value is None:
         return StabilityAnswer(scene, found, limit, None, seed=seed, in_time=in_time)
 
     def make(value: float) -> Scene:
@@ -132,36 +132,36 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     from teleop.scene.catalogue import units_of
 
     unit = units_of(name, [knob], type(scene.laws[0])).get(knob)
-    so_far = _Search(knob, own, f" {unit}" if unit else "", in_time, show)
-    answer = StabilityAnswer(scene, found, limit, None, so_far.unit, seed, in_time=in_time)
+    search = _KnobSearch(knob, scene_value, f" {unit}" if unit else "", in_time, show)
+    answer = StabilityAnswer(scene, found, limit, None, search.unit, seed, in_time=in_time)
     whole = _whole(name, knob)
     try:
         if in_time:
-            edge = lowest(make, knob, low=low, high=high, near=own, places=PLACES_IN_TIME, tol=closeness, whole=whole,
-                          judge=lambda one: rests(one, seed=seed), tell=so_far)
+            edge = lowest(make, knob, low=low, high=high, near=scene_value, places=PLACES_IN_TIME, tol=closeness,
+                          whole=whole, judge=lambda one: rests(one, seed=seed), tell=search)
         else:
-            edge = critical(make, knob, low=low, high=high, near=own, places=PLACES, tol=closeness, whole=whole,
-                            tell=so_far)
+            edge = critical(make, knob, low=low, high=high, near=scene_value, places=PLACES, tol=closeness, whole=whole,
+                            tell=search)
     except KeyboardInterrupt:
-        return answer._replace(so_far=so_far.known)
+        return answer._replace(so_far=search.so_far)
     if show is not None:
         show(1.0, "done")
     places = sorted({*places_of(knob, low, high, PLACES, whole), *(one.value for one in edge.all)})
     return answer._replace(edge=edge, places=tuple(places))
 
 
-class _Search:
-    """What a search for a critical value has found out so far, told to `show` value by value."""
+class _KnobSearch:
+    """Progress of a search for a critical value, passed to `show` value by value."""
 
     __slots__ = ("in_time", "knob", "near", "show", "tried", "unit")
 
-    def __init__(self, knob: str, own: float, unit: str, in_time: bool, show: Show | None) -> None:
+    def __init__(self, knob: str, scene_value: float, unit: str, in_time: bool, show: Show | None) -> None:
         self.knob, self.unit, self.in_time, self.show = knob, unit, in_time, show
-        self.near = None if in_time else own
+        self.near = None if in_time else scene_value
         self.tried: dict[float, bool] = {}
 
     @property
-    def known(self) -> SoFar:
+    def so_far(self) -> SoFar:
         """The values in order."""
         return SoFar(self.knob, tuple(sorted(self.tried.items())))
 
@@ -170,7 +170,7 @@ class _Search:
         if self.show is None:
             return
         places, halvings = (PLACES_IN_TIME, HALVED) if self.in_time else (PLACES, HALVINGS)
-        known = self.known
+        known = self.so_far
         pair, total = known.between(self.near), places + halvings * (1 if self.in_time else max(1, len(known.changes)))
         text = f"{self.knob} = {value:.4g}{self.unit} {verdict_word(stable, self.in_time)}"
         if pair is not None:
@@ -179,7 +179,7 @@ class _Search:
 
 
 def verdict_word(stable: bool, in_time: bool) -> str:
-    """What a value of a knob is said to do."""
+    """The verdict on a value of a knob, in words."""
     if in_time:
         return "rests" if stable else "does not rest"
     return "is stable" if stable else "is unstable"
@@ -192,8 +192,8 @@ def _whole(name: str, knob: str) -> bool:
     from teleop.scene.knobs import knobs_of
     from teleop.scene.library import scene_function
 
-    found = knobs_of(scene_function(name)).get(knob)
-    kinds = () if found is None else get_args(found.kind) or (found.kind,)
+    declared = knobs_of(scene_function(name)).get(knob)
+    kinds = () if declared is None else get_args(declared.kind) or (declared.kind,)
     return int in kinds and float not in kinds
 
 
@@ -204,11 +204,11 @@ def own_value(scene: Scene, knob: str) -> float:
     from teleop.errors import nearest
 
     every: Any = scene.laws
-    own = {f"law.{field.name}": tuple(getattr(law, field.name) for law in every) for field in fields(every[0])}
-    own = {key: each[0] if len(set(each)) == 1 else each for key, each in own.items()}
-    known = {key: value for key, value in {**scene.knobs, **own}.items()
+    gains = {f"law.{field.name}": tuple(getattr(law, field.name) for law in every) for field in fields(every[0])}
+    gains = {key: each[0] if len(set(each)) == 1 else each for key, each in gains.items()}
+    known = {key: value for key, value in {**scene.knobs, **gains}.items()
              if isinstance(value, (int, float)) and not isinstance(value, bool)}
-    if knob not in known and isinstance({**scene.knobs, **own}.get(knob), tuple):
+    if knob not in known and isinstance({**scene.knobs, **gains}.get(knob), tuple):
         raise Refused(f"{knob} has a number for each axis of scene {scene.name}, and a critical value is one number; "
                       f"give one for all of them, --set {knob}=VALUE, or take another knob: {enumerated(known, 'or')}")
     if knob not in known:
@@ -216,11 +216,11 @@ def own_value(scene: Scene, knob: str) -> float:
     return float(known[knob])
 
 
-def _span(knob: str, own: float, typed: str | None) -> tuple[float, float]:
+def _span(knob: str, scene_value: float, typed: str | None) -> tuple[float, float]:
     if typed is None:
-        if own <= 0.0:
-            raise Refused(f"{knob} is {own:g}, which gives no range to look in; write --range LOW:HIGH")
-        return own / 100.0, own * 100.0
+        if scene_value <= 0.0:
+            raise Refused(f"{knob} is {scene_value:g}, which gives no range to look in; write --range LOW:HIGH")
+        return scene_value / 100.0, scene_value * 100.0
     return typed_range("--range", typed, what=f"values of {knob}", example="10:1e4")
 
 
@@ -249,11 +249,11 @@ def summary(answer: StabilityAnswer, command: Sequence[str] = (), drawn: Mapping
                          status="done" if answer.finished else "interrupted"), **with_units({**body, **(drawn or {})})}
 
 
-def _margins(found: Stability) -> dict[str, Any]:
-    mode = found.mode
+def _margins(stability: Stability) -> dict[str, Any]:
+    mode = stability.mode
     return {
-        "critical_round_trip": WithUnit(found.critical_round_trip, "ticks"),
-        "delay_margin": WithUnit(found.delay_margin, "ticks"), "gain_margin": WithUnit(found.gain_margin, "1"),
+        "critical_round_trip": WithUnit(stability.critical_round_trip, "ticks"),
+        "delay_margin": WithUnit(stability.delay_margin, "ticks"), "gain_margin": WithUnit(stability.gain_margin, "1"),
         "dominant": mode and {"z": [mode.z.real, mode.z.imag], "frequency": WithUnit(mode.frequency, "Hz"),
                               "growth": WithUnit(mode.growth, "1/s"), "damping": WithUnit(mode.damping, "1")},
     }
@@ -291,15 +291,15 @@ def table(answer: StabilityAnswer) -> str:
     return f"{facts(rows)}\n\n{_by_axis(found)}"
 
 
-def _by_axis(found: Stability) -> str:
+def _by_axis(stability: Stability) -> str:
     """A row for each axis, or for those that are alike."""
     rows = [("axis", "verdict", "frequency", "growth", "damping", "gain margin", "delay margin")]
-    for names, own in found.axes:
-        mode, edge, gain = own.mode, own.critical_round_trip, own.gain_margin
+    for names, alone in stability.axes:
+        mode, edge, gain = alone.mode, alone.critical_round_trip, alone.gain_margin
         moved = ("-",) * 3 if mode is None else (si(mode.frequency, "Hz"), f"{mode.growth:+.4g} 1/s",
                                                  f"{mode.damping:.3g}")
-        rows.append((", ".join(names), own.verdict, *moved, "none" if gain is None else f"{gain:.4g}",
-                     "none" if edge is None else si((edge - 1 - own.round_trip) * own.dt, "s")))
+        rows.append((", ".join(names), alone.verdict, *moved, "none" if gain is None else f"{gain:.4g}",
+                     "none" if edge is None else si((edge - 1 - alone.round_trip) * alone.dt, "s")))
     return columns(rows, left=(0, 1))
 
 
@@ -307,42 +307,42 @@ def _unfinished(so_far: SoFar, answer: StabilityAnswer) -> str:
     tried, unit, knob = so_far.tried, answer.unit, so_far.knob
     if not tried:
         return f"before any value of {knob} was judged"
-    said = f"after {number_of(len(tried), 'value')} of {knob}, from {tried[0][0]:.4g} to {tried[-1][0]:.4g}{unit}"
+    sentence = f"after {number_of(len(tried), 'value')} of {knob}, from {tried[0][0]:.4g} to {tried[-1][0]:.4g}{unit}"
     pair = so_far.between(None if answer.in_time else own_value(answer.scene, knob))
     if pair is None:
-        return f"{said}: it {verdict_word(tried[0][1], answer.in_time)} at each of them"
+        return f"{sentence}: it {verdict_word(tried[0][1], answer.in_time)} at each of them"
     below, above = (verdict_word(dict(tried)[value], answer.in_time) for value in pair)
-    return f"{said}: it {below} at {pair[0]:.5g}{unit} and {above} at {pair[1]:.5g}{unit}"
+    return f"{sentence}: it {below} at {pair[0]:.5g}{unit} and {above} at {pair[1]:.5g}{unit}"
 
 
-def _roots(found: Stability) -> list[tuple[str, str]]:
+def _roots(loop: Stability) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
-    if found.integrators:
-        rows.append(("at rest", f"{found.integrators} at z = 1: positions that nothing returns"))
-    if found.mode is not None:
-        mode, word = found.mode, "grows" if found.mode.growth > 0.0 else "decays"
-        rows.append(("first mode" if found.unstable else "last mode", f"{si(mode.frequency, 'Hz')}, {word} at "
+    if loop.integrators:
+        rows.append(("at rest", f"{loop.integrators} at z = 1: positions that nothing returns"))
+    if loop.mode is not None:
+        mode, word = loop.mode, "grows" if loop.mode.growth > 0.0 else "decays"
+        rows.append(("first mode" if loop.unstable else "last mode", f"{si(mode.frequency, 'Hz')}, {word} at "
                      f"{abs(mode.growth):.4g} 1/s, damping ratio {mode.damping:.4g}"))
-    trip, edge, dt = found.round_trip, found.critical_round_trip, found.dt
-    if found.alone:
+    trip, edge, dt = loop.round_trip, loop.critical_round_trip, loop.dt
+    if loop.alone:
         rows.append(("computation", f"{number_of(trip, 'tick')} late, {si(trip * dt, 's')}"))
     else:
-        rows.append(("round trip", f"{found.forth} + {found.back} = {number_of(trip, 'tick')}, {si(trip * dt, 's')}"))
-    first = "none: stable at every delay" if found.tried is None else f"none up to {number_of(found.tried, 'tick')}"
+        rows.append(("round trip", f"{loop.forth} + {loop.back} = {number_of(trip, 'tick')}, {si(trip * dt, 's')}"))
+    first = "none: stable at every delay" if loop.tried is None else f"none up to {number_of(loop.tried, 'tick')}"
     if edge is not None:
         first = f"unstable from a {rows[-1][0]} of {number_of(edge, 'tick')}, {si(edge * dt, 's')}, on"
     if edge == 0:
         first = "unstable without any delay"
-    elif edge == 2 and not found.alone:
+    elif edge == 2 and not loop.alone:
         first = "unstable already at 2 ticks, the shortest round trip there is"
     rows.append(("delay margin", first))
-    gain = found.gain_margin
-    said = "none: no factor from 1e-6 to 1e6 changes the verdict"
+    gain = loop.gain_margin
+    margin = "none: no factor from 1e-6 to 1e6 changes the verdict"
     if gain == 1.0:
-        said = "exactly 1 (0 dB): with any more gain what rests at z = 1 moves away by itself"
+        margin = "exactly 1 (0 dB): with any more gain what rests at z = 1 moves away by itself"
     elif gain is not None:
-        said = f"{gain:.5g} ({20.0 * log10(gain):+.3g} dB)"
-    return [*rows, ("gain margin", said)]
+        margin = f"{gain:.5g} ({20.0 * log10(gain):+.3g} dB)"
+    return [*rows, ("gain margin", margin)]
 
 
 def _without_clock(limit: Continuous) -> str:
@@ -354,7 +354,7 @@ def _without_clock(limit: Continuous) -> str:
 
 
 def _steps(scene: Scene) -> str:
-    """What counts as rest behind an encoder."""
+    """Name the swing that counts as rest behind an encoder."""
     from teleop.simulation.rest import STEPS
 
     seen = any(end is not None and end.encoder is not None for end in (scene.device_m, scene.device_s))
@@ -376,11 +376,12 @@ def _edge(edge: Critical, unit: str, counted: str) -> str:
     if not others:
         return text
     if edge.method == "stepwise":
-        said = [f"{one.low:.4g} to {one.high:.4g}{unit}" for one in others[:TOLD]]
+        changes = [f"{one.low:.4g} to {one.high:.4g}{unit}" for one in others[:TOLD]]
     else:
-        said = [f"{_digits(one)}{unit} (stable {one.stable})" for one in others[:TOLD]]
-    more = f" and {len(others) - TOLD} more, see --json" if len(others) > TOLD else ""
-    return f"{text}; the verdict changes also {'from' if edge.method == 'stepwise' else 'at'} {', '.join(said)}{more}"
+        changes = [f"{_digits(one)}{unit} (stable {one.stable})" for one in others[:TOLD]]
+    rest = f" and {len(others) - TOLD} more, see --json" if len(others) > TOLD else ""
+    also = "from" if edge.method == "stepwise" else "at"
+    return f"{text}; the verdict changes also {also} {', '.join(changes)}{rest}"
 
 
 def _digits(edge: Critical | Change, value: float | None = None) -> str:

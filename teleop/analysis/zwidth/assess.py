@@ -3,6 +3,16 @@
     assess(load_scene("virtual_wall")).rows[0].curves.width
 
 Quick first: theory takes a second, the runs in virtual time come last. Ctrl-C keeps what is done.
+
+In virtual time comes to rest, or does not, what has no eigenvalues: an encoder, friction, a passivity controller. The
+experiment: the hand holds still where its reference ends, inside the wall; the device starts at rest `BEFORE` the
+wall and is let go, so the hand's spring pulls it in. It runs for `LASTING` s and on for as long as
+`teleop.analysis.models.rest` needs to say what it comes to: a swing of a few steps of the encoder still counts as rest
+there, a limit cycle beyond them does not.
+
+Behind an encoder what rests and what hums may alternate as K grows. So K is raised from well below in steps of `RATIO`
+to the first that does not rest, and the step before it halved: up to there all that were tried rest. A nonlinear loop
+may answer otherwise to another start.
 """
 
 from __future__ import annotations
@@ -10,20 +20,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from math import pi
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.analysis.models.gains import check, left_out, scales
+from teleop.analysis.models.law_parts import check, left_out, scales, with_gains
+from teleop.analysis.models.rest import HeldGrip, settled
 from teleop.analysis.zwidth.impedance import Curves, curves
-from teleop.analysis.zwidth.levers import Lever, levers
-from teleop.analysis.zwidth.measured import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.passive import Region, passive_region
 from teleop.analysis.zwidth.plane import ALL, Boundary, LoopFamily, Span, boundary, loop, rows
 from teleop.errors import Refused
-from teleop.law.analysis_offers import instead
+from teleop.law import find_law
+from teleop.law.analysis_offers import coupling_of, instead
+from teleop.stages.device import Device
+from teleop.stages.encoder import Encoder
 from teleop.terminal.options import typed_range
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene
+
 
 Show = Callable[[float, str], None]
 THEORY = 0.15  # of the work
@@ -32,7 +46,7 @@ RUNS = 17  # a search of the stiffest at rest has about so many
 
 
 class LeverRow(NamedTuple):
-    """One lever: what it comes to, at the scene's own B where a single one is meant. None: not claimed, not looked at.
+    """Figures of a lever, at the scene's own B where a single one is meant. None: not claimed, not looked at.
 
     Stiffnesses in N/m; inf is beyond the range looked at, 0 below all of it.
     """
@@ -49,7 +63,7 @@ class LeverRow(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ZWidth:
-    """All that was found. `rows` begin with the scene as it is; `measured` is (B, greatest K at rest or None)."""
+    """Result of the analysis. `rows` begin with the scene as it is; `measured` is (B, greatest K at rest or None)."""
 
     scene: Scene
     seed: int
@@ -82,64 +96,65 @@ def assess(scene: Scene, *, span_K: Span = ALL, span_B: Span = ALL, seed: int = 
     `Refused` for a scene with a slave and for a law without K and B, and KeyboardInterrupt if nothing is done yet.
     """
     scene = check(scene)
-    found = ZWidth(scene=scene, seed=seed, span_K=span_K, span_B=span_B)
+    z_width = ZWidth(scene=scene, seed=seed, span_K=span_K, span_B=span_B)
     show = show or _quiet
     try:
-        for further in _steps(found, show):
-            found = further
+        for further in _steps(z_width, show):
+            z_width = further
     except KeyboardInterrupt:
-        if not found.rows:
+        if not z_width.rows:
             raise
-        return replace(found, interrupted=True)
+        return replace(z_width, interrupted=True)
     show(1.0, "done")
-    return found
+    return z_width
 
 
 def _quiet(part: float, text: str) -> None:
     """No progress is shown."""
 
 
-def _steps(found: ZWidth, show: Show) -> Iterator[ZWidth]:
-    """What is found so far, again and again."""
-    scene, span_K, span_B = found.scene, found.span_K, found.span_B
+def _steps(z_width: ZWidth, show: Show) -> Iterator[ZWidth]:
+    """Yield the result so far, again and again."""
+    scene, span_K, span_B = z_width.scene, z_width.span_K, z_width.span_B
     show(0.0, "the scene as it is")
     every = levers(scene)
     tried = [next(every)]
-    found = replace(found, rows=[_row(scene, tried[0], scene.law.B, span_K, span_B)], notes=_notes(scene))
-    yield found
+    z_width = replace(z_width, rows=[_row(scene, tried[0], scene.law.B, span_K, span_B)], notes=_notes(scene))
+    yield z_width
     show(0.02, "stable region")
     with_hand, why = _loop(scene, hand=True) if scene.hand is not None else (None, "")
     free, why = _loop(scene, hand=False) if not why else (None, why)
     if why:
-        found = replace(found, notes=[*found.notes, f"no stable region: {why}"])
+        z_width = replace(z_width, notes=[*z_width.notes, f"no stable region: {why}"])
     elif free is not None:
         some = rows(with_hand or free, span_B, span_K)
-        found = replace(found, stable_free=boundary(free, rows(free, span_B, span_K), span_K),
+        z_width = replace(z_width, stable_free=boundary(free, rows(free, span_B, span_K), span_K),
                         stable=None if with_hand is None else boundary(with_hand, some, span_K))
-    yield found
+    yield z_width
     for i, lever in enumerate(every, 1):
         tried.append(lever)
         show(0.04 + (THEORY - 0.04) * min(i / LEVERS, 1.0), lever.name)
         if lever.scene is None:
-            found = replace(found, notes=[*found.notes, f"{lever.name} {lever.what}"])
+            z_width = replace(z_width, notes=[*z_width.notes, f"{lever.name} {lever.what}"])
         else:
-            found = replace(found, rows=[*found.rows, _row(lever.scene, lever, scene.law.B, span_K, span_B)])
-        yield found
-    yield from _runs(found, {lever.name: lever for lever in tried}, with_hand, show)
+            z_width = replace(z_width, rows=[*z_width.rows, _row(lever.scene, lever, scene.law.B, span_K, span_B)])
+        yield z_width
+    yield from _runs(z_width, {lever.name: lever for lever in tried}, with_hand, show)
 
 
-def _runs(found: ZWidth, tried: dict[str, Lever], linear: LoopFamily | None, show: Show) -> Iterator[ZWidth]:
+def _runs(z_width: ZWidth, tried: dict[str, Lever], linear: LoopFamily | None, show: Show) -> Iterator[ZWidth]:
     """The same with what comes to rest in virtual time, one search after another."""
-    own, high = found.scene.law.B, found.span_B.high
+    scene_B, high = z_width.scene.law.B, z_width.span_B.high
     try:
-        let_go(found.scene)
+        let_go(z_width.scene)
     except Refused as refused:
-        yield replace(found, notes=[*found.notes, str(refused)])
+        yield replace(z_width, notes=[*z_width.notes, str(refused)])
         return
-    b = found.scene.master.damping or 4.0 * scales(found.scene)[1]
-    some = sorted({B for B in (0.0, 0.5 * b, b, 2.0 * b, 5.0 * b) if found.span_B.low <= B <= (high or B)} | {own})
-    some.sort(key=lambda B: own != B)  # the scene's own first
-    total = len(some) + len(found.rows) - 1
+    b = z_width.scene.master.damping or 4.0 * scales(z_width.scene)[1]
+    low = z_width.span_B.low
+    some = sorted({B for B in (0.0, 0.5 * b, b, 2.0 * b, 5.0 * b) if low <= B <= (high or B)} | {scene_B})
+    some.sort(key=lambda B: scene_B != B)  # the scene's own first
+    total = len(some) + len(z_width.rows) - 1
     done = 0.0
 
     def find(scene: Scene, B: float, near: float | None, text: str) -> float | None:
@@ -152,24 +167,25 @@ def _runs(found: ZWidth, tried: dict[str, Lever], linear: LoopFamily | None, sho
             show(THEORY + (1.0 - THEORY) * done / total, text)
 
         near = near if near is not None and 0.0 < near < float("inf") else scales(scene)[0]
-        edge = stiffest_at_rest(let_go(scene), B, near=near, low=found.span_K.low, high=found.span_K.high,
-                                seed=found.seed, tell=tell)
+        edge = stiffest_at_rest(let_go(scene), B, near=near, low=z_width.span_K.low, high=z_width.span_K.high,
+                                seed=z_width.seed, tell=tell)
         done = begun + 1.0
         return edge
 
     for B in some:
-        near = None if linear is None else boundary(linear, [B], found.span_K).K[0]
-        edge = find(found.scene, B, near, f"at rest, B = {B:.3g} N s/m")
-        found = replace(found, measured=sorted([*found.measured, (B, edge)], key=lambda one: one[0]))
-        if own == B:
-            found = replace(found, rows=[found.base._replace(rest=edge), *found.rows[1:]])
-        yield found
-    for i, row in enumerate(found.rows[1:], 1):
+        near = None if linear is None else boundary(linear, [B], z_width.span_K).K[0]
+        edge = find(z_width.scene, B, near, f"at rest, B = {B:.3g} N s/m")
+        z_width = replace(z_width, measured=sorted([*z_width.measured, (B, edge)], key=lambda one: one[0]))
+        if scene_B == B:
+            z_width = replace(z_width, rows=[z_width.base._replace(rest=edge), *z_width.rows[1:]])
+        yield z_width
+    for i, row in enumerate(z_width.rows[1:], 1):
         scene = tried[row.name].scene
         if scene is not None:
-            edge = find(scene, own, row.stable or found.base.stable or found.base.stable_free, f"at rest, {row.name}")
-            found = replace(found, rows=[*found.rows[:i], row._replace(rest=edge), *found.rows[i + 1:]])
-            yield found
+            near = row.stable or z_width.base.stable or z_width.base.stable_free
+            edge = find(scene, scene_B, near, f"at rest, {row.name}")
+            z_width = replace(z_width, rows=[*z_width.rows[:i], row._replace(rest=edge), *z_width.rows[i + 1:]])
+            yield z_width
 
 
 def _row(scene: Scene, lever: Lever, B: float, span_K: Span, span_B: Span) -> LeverRow:
@@ -202,3 +218,178 @@ def _notes(scene: Scene) -> list[str]:
     if scene.cap is not None:
         notes.append("the force cap is in what was measured and in nothing else")
     return notes
+
+
+STEP = 2.0 * pi * 0.010 / 1024.0  # m: of an encoder of 1024 lines on a drum of 10 mm
+CUTOFF = 30.0  # Hz, of the velocity filter
+SHUNT = 10.0  # Hz, below which the shunt of the motor damps less
+
+
+class Lever(NamedTuple):
+    """Change to the scene."""
+
+    name: str
+    what: str  # in words
+    scene: Scene | None  # None: it does not apply, and `what` says why
+
+
+def levers(scene: Scene) -> Iterator[Lever]:
+    """The scene as it is, and then each change alone."""
+    yield Lever("as it is", "the scene's own values", scene)
+    b = scene.master.damping
+    if b > 0.0:
+        yield Lever("damping x2", f"device damping {b:g} to {2.0 * b:g} N s/m",
+                    replace(scene, master=replace(scene.master, damping=2.0 * b)))
+    else:
+        yield Lever("damping x2", "left out: the device has no damping to double", None)
+    yield from _resolution(scene)
+    yield _rate(scene)
+    yield _filter(scene)
+    yield _coupling(scene)
+    yield _controller(scene)
+    yield _electrical(scene)
+
+
+def _rate(scene: Scene) -> Lever:
+    try:
+        faster = replace(scene, dt=0.5 * scene.dt)
+    except Refused as refused:  # a scene's tick is bounded below
+        return Lever("rate x2", f"left out: {refused}", None)
+    return Lever("rate x2", f"{1e-3 / scene.dt:g} to {2e-3 / scene.dt:g} kHz; delay and renewal stay the same count of "
+                 "ticks", faster)
+
+
+def _resolution(scene: Scene) -> Iterator[Lever]:
+    device = scene.device_m or Device()
+    encoder = device.encoder
+    if encoder is None:
+        yield Lever("encoder", f"an encoder of {STEP * 1e6:.3g} um; none before",
+                    replace(scene, device_m=replace(device, encoder=Encoder(step=STEP))))
+        return
+    for word, factor in (("resolution x4", 0.25), ("resolution /4", 4.0)):
+        step = factor * encoder.step
+        yield Lever(word, f"encoder step {encoder.step * 1e6:.3g} to {step * 1e6:.3g} um",
+                    replace(scene, device_m=replace(device, encoder=replace(encoder, step=step))))
+    yield Lever("no encoder", "positions as they are", replace(scene, device_m=replace(device, encoder=None)))
+
+
+def _filter(scene: Scene) -> Lever:
+    from teleop.stages.velocity.backward_difference import BackwardDifference
+    from teleop.stages.velocity.low_pass import LowPass
+
+    device = scene.device_m or Device()
+    if isinstance(device.velocity, BackwardDifference):
+        return Lever("velocity filter", f"backward difference through a low-pass of {CUTOFF:g} Hz",
+                     replace(scene, device_m=replace(device, velocity=LowPass(cutoff=CUTOFF))))
+    return Lever("no velocity filter", "plain backward difference", replace(
+        scene, device_m=replace(device, velocity=BackwardDifference())))
+
+
+def _coupling(scene: Scene) -> Lever:
+    law: Any = scene.law
+    gains = {"K": law.K, "B": law.B, "at": float(getattr(law, "at", 0.0))}
+    if coupling_of(law, scene.dt_ns / 1e9) is not None:
+        return Lever("no coupling", "the wall felt directly", replace(scene, law=find_law("virtual_wall")(**gains)))
+    coupled: Any = replace(scene, law=find_law("virtual_coupling")(**gains))
+    corners = passive_region(coupled).corners
+    K, B = max(corners) if corners else (law.K, law.B)
+    tool = f"to a tool of {coupled.law.mass * 1e3:g} g"
+    words = f"the stiffest passive coupling, {K:.4g} N/m and {B:.3g} N s/m, {tool}: any passive environment behind it"
+    return Lever("virtual coupling", words if corners else f"a coupling of the same K and B {tool}",
+                 replace(scene, law=replace(coupled.law, K=K, B=B)))
+
+
+def _controller(scene: Scene) -> Lever:
+    if scene.passivity is not None:
+        return Lever("no controller", "without the passivity controller", replace(scene, passivity=None))
+    from teleop.stages.passivity_controller import PassivityController
+
+    cap = scene.master.damping or 0.02 * scene.master.mass / scene.dt
+    return Lever("passivity controller", f"adds at most {cap:.3g} N s/m of damping while the port has made energy",
+                 replace(scene, passivity=PassivityController(cap=cap)))
+
+
+def _electrical(scene: Scene) -> Lever:
+    from teleop.physics.relaxing import ElectricalDamping
+
+    name = "electrical damping"
+    if scene.electrical is not None:
+        return Lever("no shunt", "without electrical damping", replace(scene, electrical=None))
+    if scene.master.friction > 0.0:
+        return Lever(name, "left out: it does not go together with friction yet", None)
+    b = scene.master.damping
+    if b == 0.0:
+        return Lever(name, "left out: the device has no damping to match", None)
+    return Lever(name, f"a shunt of the motor adds {b:g} N s/m above {SHUNT:g} Hz",
+                 replace(scene, electrical=ElectricalDamping(b=b, cutoff=SHUNT)))
+
+
+BEFORE = 1e-3  # m
+LASTING = 1.5  # s
+TICKS = (400, 20_000)  # the first run has at least and at most so many
+RATIO, HALVED = 1.25, 5  # 1.25^(1/32) is 1.007
+HIGHER, LOWER = 32, 10  # steps up and halvings down that are tried: a factor of 1000 each
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Staying:
+    at: float
+
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+        """For each axis the position (m) at the ticks 0 .. count-1."""
+        return ([self.at] * count, *[[0.0] * count] * (axes - 1))
+
+
+def let_go(scene: Scene) -> Scene:
+    """The experiment's scene. Refused if no hand presses the device into the wall."""
+    if scene.hand is None:
+        raise Refused("nothing is measured: without a hand the device leaves the wall; give the scene a hand")
+    held = scene.hand.reference.samples(scene.axes, scene.ticks + 1, scene.dt_ns)[0][-1]
+    wall = float(getattr(scene.law, "at", 0.0))
+    if held <= wall:
+        raise Refused(f"nothing is measured: the hand ends at {held:g} m, outside the wall at {wall:g} m; let it reach "
+                      "further")
+    hand = scene.hand
+    T = scene.dt_ns / 1e9
+    ticks = min(max(round(LASTING / T), TICKS[0]), TICKS[1])
+    return replace(
+        scene, start_m=wall - BEFORE, duration=(ticks + 0.5) * T, energy=False,
+        hand=HeldGrip(mass=hand.mass, k=hand.k, d=hand.d, reference=_Staying(at=held)),
+    )
+
+
+def stiffest_at_rest(scene: Scene, B: float, *, near: float, low: float = 0.0, high: float | None = None,
+                     seed: int = 0, tell: Callable[[], None] = lambda: None) -> float | None:
+    """The stiffness (N/m) up to which a `let_go` scene comes to rest, to 1 %; None: it does at none that was tried.
+
+    Looked for from a tenth of `near` on, within low..high; `tell` is called after each run. inf: at rest up to `high`.
+    """
+    def good(K: float) -> bool:
+        at_rest = settled(with_gains(scene, K, B), seed=seed).rests
+        tell()
+        return at_rest
+
+    K = max(0.1 * near if high is None else min(0.1 * near, high), low)
+    if not good(K):
+        for _ in range(LOWER):
+            K, worse = 0.5 * K, K
+            if worse <= low:
+                return None
+            K = max(K, low)
+            if good(K):
+                return _halved(good, K, worse)
+        return None
+    for _ in range(HIGHER):
+        if high == K:
+            return float("inf")
+        K, better = (K * RATIO if high is None else min(K * RATIO, high)), K
+        if not good(K):
+            return _halved(good, better, K)
+    return float("inf")
+
+
+def _halved(good: Callable[[float], bool], low: float, high: float) -> float:
+    for _ in range(HALVED):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if good(middle) else (low, middle)
+    return low

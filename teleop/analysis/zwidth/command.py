@@ -25,9 +25,9 @@ def find(args: Namespace) -> Task:
 
     def work() -> Answer:
         with shown_for(args) as show:
-            found = assess(scene, span_K=span_K, span_B=span_B, seed=args.seed, show=show)
-        return Answer(table(found), summary(found, args.typed), INTERRUPTED if found.interrupted else DONE,
-                      plots={name: partial(draw, found) for name, draw in PLOTS.items()})
+            z_width = assess(scene, span_K=span_K, span_B=span_B, seed=args.seed, show=show)
+        return Answer(table(z_width), summary(z_width, args.typed), INTERRUPTED if z_width.interrupted else DONE,
+                      plots={name: partial(draw, z_width) for name, draw in PLOTS.items()})
 
     return Task(scene.name, work)
 

@@ -21,8 +21,7 @@ from math import log10, pi
 from typing import TYPE_CHECKING, NamedTuple
 
 from teleop.analysis.models.law_parts import law_parts
-from teleop.analysis.zwidth.passive import Region
-from teleop.analysis.zwidth.polygon import Point
+from teleop.analysis.zwidth.passive import Point, Region
 from teleop.law.analysis_offers import coupling_of
 
 if TYPE_CHECKING:
@@ -76,13 +75,13 @@ def device(scene: Scene, frequency: Reals) -> Reals:
     import numpy as np
 
     s = 2j * pi * frequency
-    found = scene.master.mass * s + scene.master.damping
+    impedance = scene.master.mass * s + scene.master.damping
     if scene.electrical is not None:
-        found = found + scene.electrical.b * s / (s + 2.0 * pi * scene.electrical.cutoff)
+        impedance = impedance + scene.electrical.b * s / (s + 2.0 * pi * scene.electrical.cutoff)
     T = scene.dt_ns / 1e9
     if (offered := coupling_of(scene.law, T)) is not None:
-        found = found + np.array([offered.free(complex(each)) for each in np.exp(s * T)])
-    size: Reals = np.abs(found)
+        impedance = impedance + np.array([offered.free(complex(each)) for each in np.exp(s * T)])
+    size: Reals = np.abs(impedance)
     return size
 
 
@@ -95,8 +94,8 @@ def most(scene: Scene, corners: tuple[Point, ...], frequency: Reals) -> Reals:
     w = 2.0 * pi * frequency
     smooth = velocity_filter(scene, frequency)
     sizes = [np.abs(K / (1j * w) + B * smooth) for K, B in corners]
-    found: Reals = np.max(sizes, axis=0)
-    return found
+    greatest: Reals = np.max(sizes, axis=0)
+    return greatest
 
 
 def velocity_filter(scene: Scene, frequency: Reals) -> Points:
@@ -107,5 +106,5 @@ def velocity_filter(scene: Scene, frequency: Reals) -> Points:
     if coupling_of(scene.law, T) is not None:  # of which no other estimator has a passive region
         return np.ones(len(frequency), dtype=np.complex128)
     z = np.exp(2j * pi * T * frequency)
-    found: Points = law_parts(scene).responses(z)[1] * T / (1.0 - 1.0 / z)
-    return found
+    impedance: Points = law_parts(scene).responses(z)[1] * T / (1.0 - 1.0 / z)
+    return impedance

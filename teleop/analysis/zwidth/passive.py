@@ -43,10 +43,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.analysis.models import coupling, sampled
-from teleop.analysis.models.gains import scales, with_gains
-from teleop.analysis.models.law_parts import effective_damping, law_parts, norms
+from teleop.analysis.models.law_parts import effective_damping, law_parts, norms, scales, with_gains
 from teleop.analysis.models.peak import grid, highest
-from teleop.analysis.zwidth.polygon import CLOSE, Gauge, Point, clip, polygon
 from teleop.errors import Refused
 from teleop.law.analysis_offers import coupling_of
 
@@ -56,9 +54,63 @@ if TYPE_CHECKING:
 
     from teleop.law.analysis_offers import Coupling
     from teleop.scene.scene import Scene
-
     Reals = NDArray[np.float64]
     Points = NDArray[np.complex128]
+
+
+Point = tuple[float, float]  # (K, B)
+Gauge = Callable[[float, float], tuple[float, Point]]  # how far out a point is, 1 on the boundary, and the gradient
+
+CLOSE = 3e-5  # of the distance from (0, 0): how far the polygon may lie inside the region
+ROUNDS = 12  # each makes a curved side at least four times as close
+STRAIGHT = 1e-8  # a turn that is less is none
+FAR = 1e3  # of the intercepts: nothing passive lies beyond
+
+
+def polygon(gauge: Gauge, close: float = CLOSE) -> list[Point]:
+    """The corners but (0, 0) of the region where a convex gauge that is homogeneous of degree one is at most 1.
+
+    By cutting planes: a corner that lies outside is cut off along the gradient there, until none does by more than
+    `close`. What is left encloses the region; each corner is then drawn back onto its boundary.
+    """
+    most_K, most_B = 1.0 / gauge(1.0, 0.0)[0], 1.0 / gauge(0.0, 1.0)[0]
+    corners = [(0.0, 0.0), (FAR * most_K, 0.0), (FAR * most_K, FAR * most_B), (0.0, FAR * most_B)]
+    levels: dict[Point, float] = {(0.0, 0.0): 0.0}
+    for _ in range(ROUNDS):  # all corners in turn, so that no side is finer than another
+        unjudged = {corner: gauge(*corner) for corner in corners if corner not in levels}
+        for corner, (value, gradient) in unjudged.items():
+            levels[corner] = value
+            if value > 1.0 + close:
+                corners = clip(corners, gradient)
+        if not unjudged:
+            break
+    points = [(K / level, B / level) for K, B in corners[1:] for level in [levels.get((K, B)) or gauge(K, B)[0]]]
+
+    def straight(a: Point, b: Point, c: Point) -> bool:
+        turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+        return abs(turn) < STRAIGHT * most_K * most_B
+
+    turning = points[:1]
+    for i, corner in enumerate(points[1:-1], 1):
+        if not straight(turning[-1], corner, points[i + 1]):
+            turning.append(corner)
+    return [*turning, points[-1]]
+
+
+def clip(corners: list[Point], line: tuple[float, ...]) -> list[Point]:
+    """The part of a convex polygon in which line[0] K + line[1] B <= 1; the first corner, (0, 0), stays the first."""
+    depth = [1.0 - line[0] * K - line[1] * B for K, B in corners]
+    points: list[Point] = []
+    for i, (here, now) in enumerate(zip(corners, depth, strict=True)):
+        j = (i + 1) % len(corners)
+        if now >= 0.0:
+            points.append(here)
+        if (now > 0.0 > depth[j]) or (now < 0.0 < depth[j]):
+            part = now / (now - depth[j])
+            after = corners[j]
+            points.append((here[0] + part * (after[0] - here[0]), here[1] + part * (after[1] - here[1])))
+    return points
+
 
 Curve = Callable[[float, float], Callable[["Reals"], "Reals"]]  # of (K, B): the damping needed over th
 
@@ -117,7 +169,7 @@ def _region(scene: Scene) -> Region:
 
 
 def _gauge(scene: Scene) -> Gauge:
-    """How much of the device's damping a point takes, at the th where that is most."""
+    """Build the gauge: the share of the device's damping that a point takes, at the th where it is greatest."""
     import numpy as np
 
     T = scene.dt_ns / 1e9
@@ -126,33 +178,33 @@ def _gauge(scene: Scene) -> Gauge:
         raise Refused("a force renewed more slowly than the tick on a motor damped by a shunt has no known condition; "
                       "set every=1")
     turns = (d + 1) / every
-    own = grid(turns)
-    kept: dict[str, Any] = {}
-    needed = _needed(scene, T, d, every, own)
+    places = grid(turns)
+    on_grid: dict[str, Any] = {}
+    needed = _needed(scene, T, d, every, places)
 
     def damping(th: Reals) -> Reals:
-        if len(th) != len(own):
+        if len(th) != len(places):
             return effective_damping(scene, th)
-        if "b" not in kept:
-            kept["b"] = effective_damping(scene, th)
-        found: Reals = kept["b"]
-        return found
+        if "b" not in on_grid:
+            on_grid["b"] = effective_damping(scene, th)
+        effective: Reals = on_grid["b"]
+        return effective
 
     def gauge(K: float, B: float) -> tuple[float, Point]:
         curve = needed(K, B)
-        found = highest(lambda th: curve(th) / damping(th), turns)
-        at = np.array([found.th])
+        peak = highest(lambda th: curve(th) / damping(th), turns)
+        at = np.array([peak.th])
 
         def there(K: float, B: float) -> float:
             return float((needed(K, B)(at) / damping(at))[0])
 
         h_K, h_B = 1e-6 * max(K, scales(scene)[0]), 1e-6 * max(B, scales(scene)[1])  # homogeneous of degree one
-        return found.value, ((there(K + h_K, B) - there(K, B)) / h_K, (there(K, B + h_B) - there(K, B)) / h_B)
+        return peak.value, ((there(K + h_K, B) - there(K, B)) / h_K, (there(K, B + h_B) - there(K, B)) / h_B)
 
     return gauge
 
 
-def _needed(scene: Scene, T: float, d: int, every: int, own: Reals) -> Curve:
+def _needed(scene: Scene, T: float, d: int, every: int, places: Reals) -> Curve:
     """The damping needed for (K, B) over th."""
     import numpy as np
 
@@ -166,11 +218,11 @@ def _needed(scene: Scene, T: float, d: int, every: int, own: Reals) -> Curve:
         return -(turned * H_K).real, -(turned * H_B).real
 
     if every == 1:
-        kept = halves(own)
+        halves_on_grid = halves(places)
 
         def linear(K: float, B: float) -> Callable[[Reals], Reals]:
             def curve(th: Reals) -> Reals:
-                a, c = kept if len(th) == len(own) else halves(th)
+                a, c = halves_on_grid if len(th) == len(places) else halves(th)
                 return K * a + B * c
 
             return curve
@@ -180,7 +232,7 @@ def _needed(scene: Scene, T: float, d: int, every: int, own: Reals) -> Curve:
     often: list[tuple[Points, Points]] = []  # the responses on the grid, which every point asks for
 
     def responses(z: Points) -> tuple[Points, Points]:
-        if len(z) != every * len(own):
+        if len(z) != every * len(places):
             return parts.responses(z)
         if not often:
             often.append(parts.responses(z))
@@ -211,9 +263,9 @@ def _coupled(scene: Scene, offered: Coupling, d: int, every: int) -> Curve:
     def curve(K: float, B: float) -> Callable[[Reals], Reals]:
         if K == B == 0.0:
             return np.zeros_like
-        own = coupling_of(with_gains(scene, K, B).law, scene.dt_ns / 1e9)
-        assert own is not None
-        C = own.C
+        offer = coupling_of(with_gains(scene, K, B).law, scene.dt_ns / 1e9)
+        assert offer is not None
+        C = offer.C
         return lambda th: coupling.damping_curve(C, 0.0, th, d=d)
 
     return curve
@@ -222,5 +274,5 @@ def _coupled(scene: Scene, offered: Coupling, d: int, every: int) -> Curve:
 def _integrators(offered: Coupling) -> str:
     """The integrators of the same law that will do, for a refusal."""
     known = [f"{name} Euler" if name == "backward" else name for name, law in offered.others.items()
-             if (own := coupling_of(law, 1e-3)) is not None and own.series and own.keeps]
+             if (offer := coupling_of(law, 1e-3)) is not None and offer.series and offer.keeps]
     return f"; take {' or '.join(known)}" if known else ""

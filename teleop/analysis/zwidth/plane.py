@@ -6,8 +6,7 @@ A force renewed at every n-th tick is judged by the product of n ticks. A law wh
 coupling, has its map worked out at each place, on a coarser net.
 
 The boundary is, for each B, the least K at which the loop is unstable: a net of equal ratios is searched from below and
-its first change of verdict halved; with a long delay of the computation it is found as in `crossing`. What may be
-stable again above that is not claimed.
+its first change of verdict halved. What may be stable again above that is not claimed.
 
 Laid over it are two published lines, with the condition as it is printed:
 
@@ -17,31 +16,42 @@ Laid over it are two published lines, with the condition as it is printed:
                                     delay", J. Computing and Information Science in Engineering 9(1), 2009)
 
 T is the time for which a force is held, n ticks, and t_d the delay of the computation.
+
+Of a loop with many states it is sought, going up from nothing, where a root first meets the circle.
+The maps of a law that is felt directly are M_0 + u (K w_K + B w_B)^T, so a root z has, with l = w^T (z - M_0)^-1 u
+worked out without the computation's delay of d ticks,
+
+    K l_K(z) + B l_B(z) = z^d.
+
+On z = e^(j th) these are two real equations: for each B the places where Im[(z^d - B l_B)/l_K] changes sign are all
+the K at which a root is on the unit circle (D-decomposition: Yu. I. Neimark 1949). Roots move continuously, so a loop
+that is stable at K -> 0 stays so up to the least of them. The places are found on a net of 64 to every half turn of z^d
+and halved; a K at which a root only touches the circle may lie between them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.analysis.models.gains import linear_part, scales, with_gains
+from teleop.analysis.models.law_parts import linear_part, scales, with_gains
 from teleop.analysis.models.one_port_loop import AT_REST, one_port
-from teleop.analysis.zwidth.crossing import Open, first_B, first_K, opened
+from teleop.analysis.models.peak import grid
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from teleop.scene.scene import Scene
-
     Reals = NDArray[np.float64]
     Maps = tuple[Reals, Reals, Reals]
+    Points = NDArray[np.complex128]
+
 
 ROWS = 41  # values of B
 NET = 64  # values of K for each before it is halved, HALVED times
-HALVED = 36
-MANY = 12  # ticks of delay: beyond, the edge is found with `crossing`
+MANY = 12  # ticks of delay: beyond, the edge is found where a root first meets the circle
 LARGE = 24  # states: a greater loop that is renewed slowly, or one that is not affine, has the coarse net
 COARSE = (7, 14, 14)
 AT_ONCE = 2_000_000  # numbers of the matrices worked out at once
@@ -91,7 +101,7 @@ def loop(scene: Scene, *, hand: bool) -> LoopFamily:
     device = scene.device_m
     if device is not None and device.every == 1 and device.delay > MANY:
         at_once = _loop(replace(scene, device_m=replace(device, delay=0)))
-        cut = at_once.first and opened(at_once.first, device.delay)
+        cut = at_once.first and cut_open(at_once.first, device.delay)
         if cut:
             return LoopFamily(scene, at_once.first, at_once.others, 1, at_once.states, cut)
     return _loop(scene)
@@ -100,21 +110,21 @@ def loop(scene: Scene, *, hand: bool) -> LoopFamily:
 def _loop(scene: Scene) -> LoopFamily:
     K0, B0 = scales(scene)
     places = ((K0, 0.0), (2.0 * K0, 0.0), (K0, B0), (1.7 * K0, 0.6 * B0))
-    found = [one_port(with_gains(scene, K, B)).ticks for K, B in places]
+    samples = [one_port(with_gains(scene, K, B)).ticks for K, B in places]
     kinds = []
-    for tick in range(min(len(found[0]), 2)):
-        base, stiffer, damped, tried = (maps[tick] for maps in found)
+    for tick in range(min(len(samples[0]), 2)):
+        base, stiffer, damped, tried = (maps[tick] for maps in samples)
         M_K, M_B = (stiffer - base) / K0, (damped - base) / B0
         M_0 = base - K0 * M_K
         size = abs(M_0) + K0 * abs(M_K) + B0 * abs(M_B)
         if (abs(M_0 + 1.7 * K0 * M_K + 0.6 * B0 * M_B - tried) > 1e-7 * size + 1e-12).any():
-            return LoopFamily(scene, None, None, len(found[0]), len(base))
+            return LoopFamily(scene, None, None, len(samples[0]), len(base))
         kinds.append((M_0, M_K, M_B))
-    return LoopFamily(scene, kinds[0], kinds[-1], len(found[0]), len(kinds[0][0]))
+    return LoopFamily(scene, kinds[0], kinds[-1], len(samples[0]), len(kinds[0][0]))
 
 
 def is_stable(of: LoopFamily, K: Any, B: Any) -> NDArray[np.bool_]:
-    """Whether the loop is stable at each (K, B): no root outside the unit circle, those at rest at z = 1 aside."""
+    """True where the loop is stable at (K, B): no root outside the unit circle, those at rest at z = 1 aside."""
     import numpy as np
 
     K, B = np.broadcast_arrays(np.asarray(K, dtype=float), np.asarray(B, dtype=float))
@@ -126,9 +136,9 @@ def is_stable(of: LoopFamily, K: Any, B: Any) -> NDArray[np.bool_]:
         maps = np.array([one_port(with_gains(of.scene, float(k), float(b))).period
                          for k, b in zip(K.ravel(), B.ravel(), strict=True)])
     else:
-        first, other = (M_0 + K.reshape(-1, 1, 1) * M_K + B.reshape(-1, 1, 1) * M_B
+        first, later = (M_0 + K.reshape(-1, 1, 1) * M_K + B.reshape(-1, 1, 1) * M_B
                         for M_0, M_K, M_B in (of.first, of.others))
-        maps = np.linalg.matrix_power(other, of.every - 1) @ first
+        maps = np.linalg.matrix_power(later, of.every - 1) @ first
     sound = np.isfinite(maps).all(axis=(1, 2))
     roots = np.linalg.eigvals(np.where(sound[:, None, None], maps, 2.0 * np.eye(maps.shape[-1])))
     outside = (np.abs(roots) > 1.0 + 1e-12) & (np.abs(roots - 1.0) > AT_REST)
@@ -173,11 +183,11 @@ def boundary(of: LoopFamily, B: Sequence[float], span: Span = ALL) -> Boundary:
 def _crossed(of: LoopFamily, cut: Open, B: Sequence[float], span: Span) -> Boundary:
     """The same where the eigenvalues are too many."""
     least, high = max(span.low, 1e-7 * top(of.scene)[0]), span.high or float("inf")
-    most, found = first_B(cut, least), []
+    most, edges = first_B(cut, least), []
     for value in B:
         edge = first_K(cut, value)
-        found.append(0.0 if edge <= least or value >= most else float("inf") if edge > high else edge)
-    return Boundary(tuple(B), tuple(found))
+        edges.append(0.0 if edge <= least or value >= most else float("inf") if edge > high else edge)
+    return Boundary(tuple(B), tuple(edges))
 
 
 def most_damping(of: LoopFamily, span: Span = ALL) -> float:
@@ -212,18 +222,90 @@ def rows(of: LoopFamily, span: Span, stiffness: Span) -> list[float]:
 def passive_line(scene: Scene, B: Reals) -> Reals:
     """K on the line K T/2 + B = b, T the time for which a force is held."""
     held, _ = _times(scene)
-    found: Reals = 2.0 * (scene.master.damping - B) / held
-    return found
+    K: Reals = 2.0 * (scene.master.damping - B) / held
+    return K
 
 
 def published_rule(scene: Scene, B: Reals) -> Reals:
     """K on the line K = (b + B)/(T/2 + t_d)."""
     held, late = _times(scene)
-    found: Reals = (scene.master.damping + B) / (0.5 * held + late)
-    return found
+    K: Reals = (scene.master.damping + B) / (0.5 * held + late)
+    return K
 
 
 def _times(scene: Scene) -> tuple[float, float]:
     """For how long a force is held, and how late it is computed, s."""
     T = scene.dt_ns / 1e9
     return (T, 0.0) if scene.device_m is None else (T * scene.device_m.every, T * scene.device_m.delay)
+
+
+HALVED = 36
+
+
+class Open(NamedTuple):
+    """The loop cut open at the force: l_K and l_B without the delay, and the delay d in ticks."""
+
+    still: Reals  # M_0
+    u: Reals
+    w_K: Reals
+    w_B: Reals
+    d: int
+    net: tuple[Reals, Points, Points] | None = None  # th, l_K and l_B at the places tried first
+
+    def gains(self, th: Reals) -> tuple[Points, Points]:
+        """l_K and l_B at e^(j th)."""
+        import numpy as np
+
+        z = np.exp(1j * th)
+        whole = z[:, None, None] * np.eye(len(self.still)) - self.still
+        response: Points = np.linalg.solve(whole, self.u.astype(complex)[:, None])[:, :, 0]
+        return response @ self.w_K.astype(complex), response @ self.w_B.astype(complex)
+
+
+def cut_open(maps: Maps, d: int) -> Open | None:
+    """The open loop of maps without delay; None where K and B do not act through one force."""
+    import numpy as np
+
+    still, M_K, M_B = maps
+    U, S, V = np.linalg.svd(np.hstack([M_K, M_B]))
+    if S[1] > 1e-9 * S[0]:
+        return None
+    w = S[0] * V[0]
+    cut = Open(still, U[:, 0], w[:len(still)], w[len(still):], d)
+    th = grid(d + 1.0)
+    return cut._replace(net=(th, *cut.gains(th)))
+
+
+def first_K(of: Open, B: float) -> float:
+    """The least K > 0 with a root on the circle; inf if there is none."""
+    return _first(of, lambda z_d, l_K, l_B: (z_d - B * l_B) / l_K)
+
+
+def first_B(of: Open, K: float) -> float:
+    """The least B > 0 with a root on the circle; inf if there is none."""
+    return _first(of, lambda z_d, l_K, l_B: (z_d - K * l_K) / l_B)
+
+
+def _first(of: Open, solved: Callable[[Points, Points, Points], Points]) -> float:
+    import numpy as np
+
+    def gain(th: Reals) -> Points:
+        return solved(np.exp(1j * of.d * th), *of.gains(th))
+
+    assert of.net is not None
+    th, *known = of.net
+    values = solved(np.exp(1j * of.d * th), *known)
+    half_turn = float(values[-1].real)  # real at th = pi
+    angles = [half_turn] if half_turn > 0.0 else []
+    # Within a step of the net the gain moves little: who is far from the least needs no closer look.
+    at = np.flatnonzero(np.sign(values.imag[:-2]) != np.sign(values.imag[1:-1]))
+    at = at[np.maximum(values.real[at], values.real[at + 1]) > 0.0]
+    low, high, rising = th[at], th[at + 1], values.imag[at] < 0.0
+    for _ in range(HALVED if len(at) else 0):
+        middle = 0.5 * (low + high)
+        below = (gain(middle).imag < 0.0) == rising
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    ends = gain(0.5 * (low + high)) if len(at) else values[:0]
+    # A sign changes at a pole of the gain too, where it is endless and not zero.
+    angles += [float(value.real) for value in ends if value.real > 0.0 and abs(value.imag) < 1e-3 * abs(value)]
+    return min(angles, default=float("inf"))

@@ -6,7 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from teleop.analysis.zwidth.plane import passive_line, published_rule
-from teleop.analysis.zwidth.report import numbers, said
+from teleop.analysis.zwidth.report import format_value, numbers
 from teleop.terminal.answer import titled
 from teleop.terminal.plotting import (
     BLACK,
@@ -43,8 +43,8 @@ PANELS = (
 
 
 def _new(got: ZWidth, title: str, size: tuple[float, float]) -> Figure:
-    told = f"{titled(got.scene)}: {title}"
-    return new_figure(size, literal(told + " (interrupted)" * got.interrupted))
+    heading = f"{titled(got.scene)}: {title}"
+    return new_figure(size, literal(heading + " (interrupted)" * got.interrupted))
 
 
 def _plane(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
@@ -102,9 +102,9 @@ def _regions(axes: Axes, got: ZWidth, far_B: float, far_K: float) -> None:
               label="K T/2 + B = b, no delay (Colgate & Schenkel 1997)")
     axes.plot(B, published_rule(got.scene, B), color=ORANGE, linestyle="-.", linewidth=1.3,
               label="K = (b + B)/(T/2 + $t_d$) (Gil, Hulin et al. 2009)")
-    found = [(B, K) for B, K in got.measured if K is not None and isfinite(K)]
-    if found:
-        axes.plot(*zip(*found, strict=True), color=RED, marker="o", markersize=4.5, linestyle="none",
+    rested = [(B, K) for B, K in got.measured if K is not None and isfinite(K)]
+    if rested:
+        axes.plot(*zip(*rested, strict=True), color=RED, marker="o", markersize=4.5, linestyle="none",
                   label="measured: at rest up to here, in virtual time")
     own_K, own_B = got.scene.law.K, got.scene.law.B
     seen = got.span_K.low <= own_K <= far_K and got.span_B.low <= own_B <= far_B  # whole even on the axes' edge
@@ -124,7 +124,7 @@ def _impedance(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
 
     c = got.base.curves
     wide = "no upper curve is claimed" if c.area is None else (
-        f"Z-width {said(c.width)} N s/m at 1 Hz, area {c.area:.3g} decades x decades")
+        f"Z-width {format_value(c.width)} N s/m at 1 Hz, area {c.area:.3g} decades x decades")
     figure = _new(got, wide, (9.0, 5.4))
     axes = figure.subplots()
     shown = c.upper is not None and bool((c.upper > 0.0).any())
@@ -152,21 +152,21 @@ def _impedance(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
 def _levers(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
     """A bar for each lever and metric; the line is the scene as it is."""
     rows = got.rows
-    told = [(title, [numbers(row)[key] for row in rows], key) for key, title in PANELS]
+    panels = [(title, [numbers(row)[key] for row in rows], key) for key, title in PANELS]
     tops = [max([value for value in values if value is not None and isfinite(value)], default=0.0)
-            for _, values, _ in told]
-    told = [one for one, most in zip(told, tops, strict=True) if most > 0.0] or told[:1]
-    lines = 1 if len(told) <= 3 else 2
+            for _, values, _ in panels]
+    panels = [one for one, most in zip(panels, tops, strict=True) if most > 0.0] or panels[:1]
+    lines = 1 if len(panels) <= 3 else 2
     figure = _new(got, "one lever at a time", (13.0, max(4.5, lines * (1.2 + 0.33 * len(rows)))))
-    every: Any = figure.subplots(lines, -(-len(told) // lines), sharey=True, squeeze=False)
-    for axes in every.ravel()[len(told):]:
+    every: Any = figure.subplots(lines, -(-len(panels) // lines), sharey=True, squeeze=False)
+    for axes in every.ravel()[len(panels):]:
         axes.set_axis_off()
-    for axes, (title, values, key) in zip(every.ravel(), told, strict=False):
+    for axes, (title, values, key) in zip(every.ravel(), panels, strict=False):
         most = max([value for value in values if value is not None and isfinite(value)], default=0.0) or 1.0
         for i, value in enumerate(values):
             sound = value is not None and isfinite(value)
             axes.barh(i, value if sound else 0.0, color=GREY if i == 0 else SKY, height=0.66)
-            text = said(value) if value is not None else "not claimed" if "rest" not in key else "-"
+            text = format_value(value) if value is not None else "not claimed" if "rest" not in key else "-"
             axes.text((value if sound and value is not None else 0.0) + 0.015 * most, i, text, va="center", fontsize=8)
         if values and values[0]:
             axes.axvline(values[0], color=GREY, linewidth=0.8, linestyle="--")

@@ -1,4 +1,4 @@
-"""What a Z-width leaves: a table for a person, and a JSON document."""
+"""Output of `teleop zwidth`: a table for a person, and a JSON document."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ def numbers(row: LeverRow) -> dict[str, float | None]:
 
 def ratios(row: LeverRow, base: LeverRow) -> dict[str, float | None]:
     """A row's metrics over those of the scene as it is; None where there is no such ratio."""
-    own = numbers(base)
-    found: dict[str, float | None] = {}
+    base_values = numbers(base)
+    factors: dict[str, float | None] = {}
     for key, value in numbers(row).items():
-        before = own[key]
-        there = value is not None and isfinite(value) and before and isfinite(before)
-        found[key] = value / before if there and value is not None and before else None
-    return found
+        before = base_values[key]
+        comparable = value is not None and isfinite(value) and before and isfinite(before)
+        factors[key] = value / before if comparable and value is not None and before else None
+    return factors
 
 
 def table(got: ZWidth) -> str:
@@ -78,14 +78,14 @@ def table(got: ZWidth) -> str:
 
 
 def _cells(row: LeverRow, base: LeverRow, *, first: bool) -> Iterator[str]:
-    own, times = numbers(row), ratios(row, base)
+    values, times = numbers(row), ratios(row, base)
     for metric in METRICS:
-        value, factor = own[metric.key], times[metric.key]
+        value, factor = values[metric.key], times[metric.key]
         behind = " " * 7 if first or factor is None else f" x{factor:<5.3g}"
-        yield said(value) + behind
+        yield format_value(value) + behind
 
 
-def said(value: float | None) -> str:
+def format_value(value: float | None) -> str:
     """A number to four digits; a dash for None, words for what has no limit."""
     if value is None:
         return "-"
@@ -104,15 +104,16 @@ def _facts(got: ZWidth) -> Iterator[tuple[str, str]]:
     base = got.base
     low, high = base.curves.at_one[1], base.curves.at_one[0]
     wide = "" if base.curves.width is None else f", Z-width {base.curves.width:.4g} N s/m"
-    yield "at 1 Hz", f"Z_max {said(high)}, Z_min {said(low)} N s/m{wide}"
+    yield "at 1 Hz", f"Z_max {format_value(high)}, Z_min {format_value(low)} N s/m{wide}"
     if base.curves.area is not None:
         yield "0.1-100 Hz", f"area {base.curves.area:.4g} decades of impedance times decades of frequency, a gap of " \
                             f"{base.curves.gap:.4g} decades on average"
     yield "passive", base.region.sentence
-    free = "" if base.stable_free is None else f"; there with a free handle {said(base.stable_free)} N/m"
+    free = "" if base.stable_free is None else f"; there with a free handle {format_value(base.stable_free)} N/m"
     yield "stable K", f"of the linear loop at the B where it is greatest, then at the scene's own B{free}"
     if got.measured:
-        yield "at rest", "in virtual time, at B = " + ", ".join(f"{B:.3g}: {said(K)}" for B, K in got.measured) + " N/m"
+        limits = ", ".join(f"{B:.3g}: {format_value(K)}" for B, K in got.measured)
+        yield "at rest", f"in virtual time, at B = {limits} N/m"
     for row in got.rows[1:]:
         yield row.name, row.what + ("; " + row.region.sentence if row.region.corners is None
                                     and row.region.sentence != base.region.sentence else "")

@@ -27,7 +27,8 @@ def reflected_impedance(frequency: list[float], touched: float) -> Any:
     scene = replace(scene, master=HANDLE, slave=MassDamper(mass=LIGHT), hand=None)
     s = 2j * pi * np.array(frequency)
     master = HANDLE.mass * s + HANDLE.damping
-    return continuous_two_port(scene, s.imag / (2.0 * pi)).felt(np.full(len(s), touched, dtype=complex)) - master
+    port = continuous_two_port(scene, s.imag / (2.0 * pi))
+    return port.perceived_impedance(np.full(len(s), touched, dtype=complex)) - master
 
 
 def rerun() -> list[Replication]:

@@ -16,8 +16,8 @@ from teleop.analysis.passivity.one_port import one_port
 from teleop.analysis.passivity.report import ask
 from teleop.analysis.passivity.report import table as passivity_table
 from teleop.analysis.stability.assess import stability
+from teleop.analysis.zwidth.assess import levers
 from teleop.analysis.zwidth.impedance import curves
-from teleop.analysis.zwidth.levers import levers
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.law.analysis_offers import coupling_of, described, instead, linear_law
 from teleop.laws.p_d import PDamped

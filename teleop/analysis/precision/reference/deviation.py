@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.simulation.metrics import magnitude
@@ -12,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from teleop.scene.scene import Scene
+
 
 SERIES = {"x_s": "m", "x_m": "m", "f_env": "N"}
 NEAR = 10  # ticks: contacts nearer than this are one, and another run's may be off by as much
@@ -39,14 +42,14 @@ def errors(got: Mapping[str, Any], want: Mapping[str, Any]) -> dict[str, Error]:
     """The error of every quantity of `SERIES`."""
     import numpy as np
 
-    found = {}
+    by_series = {}
     for name in SERIES:
         size = distance(name, got, want)
         with np.errstate(all="ignore"):
             rms = float(np.sqrt(np.mean(size * size)))
         end = float(size[-1]) if len(size) == len(want["t"]) else float("nan")
-        found[name] = Error(float(size.max()), rms, end)
-    return found
+        by_series[name] = Error(float(size.max()), rms, end)
+    return by_series
 
 
 def peak_ratio(got: Mapping[str, Any], want: Mapping[str, Any]) -> float | None:
@@ -59,7 +62,7 @@ def peak_ratio(got: Mapping[str, Any], want: Mapping[str, Any]) -> float | None:
     return ratio if np.isfinite(ratio) else None
 
 
-def felt(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
+def touching(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
     """True at ticks where the environment takes a force, at the tick or at any time before the next.
 
     A contact between two ticks is known from the momentum that is missing: `f_s dt - M dv - b dx` is the impulse on the
@@ -99,3 +102,32 @@ def missed(touching: NDArray[np.bool_], touches: list[tuple[int, int]]) -> int:
     """Number of these contacts that a run lasted through and never touched, `NEAR` ticks before and after included."""
     lived = [(first, last) for first, last in touches if last < len(touching)]
     return sum(not touching[max(first - NEAR, 0) : last + NEAR + 1].any() for first, last in lived)
+
+
+@dataclass(slots=True)
+class Steps:
+    """Comparison of single steps: their count, and the largest differences.
+
+    A step is one body in one axis over one tick.
+    """
+
+    count: int = 0
+    integrated: int = 0  # by the stack itself, without a closed form
+    changes: int = 0  # steps in which the reference located a change of contact or of sticking
+    gave_up: int = 0  # steps that the reference's integrator did not finish
+    x: float = 0.0  # largest difference, m
+    v: float = 0.0  # largest difference, m/s
+
+    def add(self, stack: tuple[float, float], reference: tuple[float, float], *, changed: bool, integrated: bool = False
+            ) -> None:
+        """Count one step: (x, v) after the stack's own and after the reference's. What diverged is not compared."""
+        self.count += 1
+        self.changes += changed
+        self.integrated += integrated
+        if not all(map(isfinite, stack)):
+            return
+        dx, dv = abs(stack[0] - reference[0]), abs(stack[1] - reference[1])
+        if isfinite(dx + dv):
+            self.x, self.v = max(self.x, dx), max(self.v, dv)
+        else:
+            self.gave_up += 1

@@ -10,16 +10,28 @@ or the other, or sticks. What ends it falls through zero there: p, `k p + d u` o
 Hunt-Crossley body, the speed over the ground, or what friction has left to hold with. Such an instant is bracketed
 on the cubic through a step's ends and polished by Newton's method on integrations that end there, since an
 interpolation is only so exact. Nothing of the stack's own integration is used: neither its stages nor its steps.
+
+Bodies with a closed form keep it; a tick that touches nothing and slides one way does too. Beside each step the
+stack's own is taken from the same state, so that the two are compared at every tick of a run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import cycle
 from math import hypot, isfinite, nan, sqrt
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.analysis.precision.reference.deviation import Steps
 from teleop.physics.contact import advance
+from teleop.physics.plant import Plant
 from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, Core
+from teleop.simulation.bodies import Bodies, exact_bodies
+from teleop.simulation.integrators.parts import core_of, rebuilt
+
+if TYPE_CHECKING:
+    from teleop.scene.scene import Scene
+
 
 TIGHT = {"DOP853": 3e-14, "Radau": 1e-13}  # rtol; less is rounding
 ROUNDING = 1e-14  # relative
@@ -45,7 +57,7 @@ class Exit(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """One smooth piece of the motion: its equation, its touch, and the way it slides (0: it sticks, if fc > 0)."""
+    """Smooth piece of the motion: its equation, its touch, and the way it slides (0: it sticks, if fc > 0)."""
 
     core: Core
     touch: int
@@ -96,24 +108,24 @@ class Piece(NamedTuple):
         return self.f + self.core[2] * self.s - self.push(p, -self.s)
 
     def exits(self) -> list[Exit]:
-        """All exits that may end it."""
+        """List the exits that may end it."""
         kind, _, _, k, d, _, lam, fc = self.core
-        found = []
+        exits = []
         if kind in (WALL, HUNT_CROSSLEY):
             if self.touch == OUTSIDE:
-                found.append(Exit(lambda p, u, _: (-p, -u), ACROSS, CONTACT))
+                exits.append(Exit(lambda p, u, _: (-p, -u), ACROSS, CONTACT))
             elif self.touch == INSIDE or kind == HUNT_CROSSLEY or d == 0.0:
-                found.append(Exit(lambda p, u, _: (p, u), ACROSS, OUTSIDE))
+                exits.append(Exit(lambda p, u, _: (p, u), ACROSS, OUTSIDE))
             if self.touch != OUTSIDE and (d if kind == WALL else lam) > 0.0:
                 sign, then = (1.0, INSIDE) if self.touch == CONTACT else (-1.0, CONTACT)
-                found.append(Exit(
+                exits.append(Exit(
                     (lambda p, u, a: (sign * (k * p + d * u), sign * (k * u + d * a))) if kind == WALL
                     else (lambda _, u, a: (sign * (1.0 + lam * u), sign * lam * a)), FOLLOW, then))
         if fc > 0.0 and self.way != 0:
-            found.append(Exit(lambda _, u, a: (self.way * (u + self.s), self.way * a), STOP, self.touch))
+            exits.append(Exit(lambda _, u, a: (self.way * (u + self.s), self.way * a), STOP, self.touch))
         elif fc > 0.0:
-            found += [Exit(self.hold(1), BREAK, 1), Exit(self.hold(-1), BREAK, -1)]
-        return found
+            exits += [Exit(self.hold(1), BREAK, 1), Exit(self.hold(-1), BREAK, -1)]
+        return exits
 
     def hold(self, way: int) -> Callable[[float, float, float], tuple[float, float]]:
         """The force that friction has left against a start one way; slightly more, so that the body does start then."""
@@ -135,7 +147,7 @@ def settle(core: Core, p: float, u: float, f: float, s: float, dt: float, solver
             return Settled(p, u, changes)
         if piece.touch == OUTSIDE and (free := _free(piece, p, u, left)) is not None:
             return Settled(*free, changes)
-        t, p, u, which = _ended(piece, p, u, left, solver, rtol or TIGHT[solver])
+        t, p, u, which = _first_exit(piece, p, u, left, solver, rtol or TIGHT[solver])
         if which is None or not isfinite(p):
             return Settled(p, u, changes)
         left -= t
@@ -158,10 +170,10 @@ def _begun(core: Core, p: float, u: float, f: float, s: float) -> Piece:
     elif kind != NOTHING and p == 0.0:
         held = fc if u + s == 0.0 else 0.0
         touch = CONTACT if u > 0.0 or (u == 0.0 and f - b * u > held) else OUTSIDE
-    return _held(Piece(core, touch, (u + s > 0.0) - (u + s < 0.0), f, s), p, u)
+    return _stick_or_slide(Piece(core, touch, (u + s > 0.0) - (u + s < 0.0), f, s), p, u)
 
 
-def _held(piece: Piece, p: float, u: float) -> Piece:
+def _stick_or_slide(piece: Piece, p: float, u: float) -> Piece:
     """The piece of a body at rest on the ground: the force decides if it sticks, or which way it slides."""
     fc = piece.core[7]
     if fc == 0.0:
@@ -177,7 +189,7 @@ def _next(piece: Piece, which: Exit, p: float, u: float) -> Piece:
     if which.kind == BREAK:
         return piece._replace(way=which.then)
     after = piece._replace(touch=which.then)
-    return _held(after, p, u) if which.kind == STOP or piece.way == 0 else after
+    return _stick_or_slide(after, p, u) if which.kind == STOP or piece.way == 0 else after
 
 
 def _free(piece: Piece, p: float, u: float, span: float) -> tuple[float, float] | None:
@@ -193,7 +205,7 @@ def _free(piece: Piece, p: float, u: float, span: float) -> tuple[float, float] 
     return p1, u1
 
 
-def _ended(piece: Piece, p: float, u: float, span: float, solver: str, rtol: float
+def _first_exit(piece: Piece, p: float, u: float, span: float, solver: str, rtol: float
            ) -> tuple[float, float, float, Exit | None]:
     """Time within `span` at which the piece ends, the state there, and the exit; `span` and None if it lasts."""
     exits = piece.exits()
@@ -201,16 +213,16 @@ def _ended(piece: Piece, p: float, u: float, span: float, solver: str, rtol: flo
     before = 0.0
     tolerance = _tolerance(piece, p, u, span, rtol)
     for t, q, w in _steps(piece, p, u, span, solver, tolerance):
-        a1, found = piece.pull(q, w), None
+        a1, first = piece.pull(q, w), None
         for one in exits:
             guess = _falls(*one.value(p, u, a), *one.value(q, w, a1), t - before)
             if guess is None:
                 continue
             root = _polished(piece, one, p, u, guess, t - before, solver, tolerance, sure=one.value(q, w, a1)[0] < 0.0)
-            if root is not None and (found is None or root[0] < found[0]):
-                found = (*root, one)
-        if found is not None:
-            return before + found[0], *found[1:]
+            if root is not None and (first is None or root[0] < first[0]):
+                first = (*root, one)
+        if first is not None:
+            return before + first[0], *first[1:]
         before, p, u, a = t, q, w, a1
     return (span, p, u, None) if before == span else (span, nan, nan, None)
 
@@ -231,9 +243,9 @@ def _steps(piece: Piece, p: float, u: float, span: float, solver: str, tolerance
 
     if span <= 0.0:
         return
-    more: Any = {"jac": piece.jacobian} if solver == "Radau" else {}
+    options: Any = {"jac": piece.jacobian} if solver == "Radau" else {}
     kind = Radau if solver == "Radau" else DOP853
-    running = kind(piece.rate, 0.0, (p, u), span, **tolerance, **more)
+    running = kind(piece.rate, 0.0, (p, u), span, **tolerance, **options)
     while running.status == "running":
         running.step()
         if running.status == "failed":
@@ -294,3 +306,72 @@ def _polished(piece: Piece, one: Exit, p: float, u: float, t: float, h: float, s
             return t, q, w
         t = new
     return (t, q, w) if sure else None
+
+
+Move = Callable[..., tuple[Any, ...]]
+Found = tuple[float, float, int]  # position, speed, changes of mode located
+Watch = Callable[[Callable[..., Found], Move, tuple[Any, ...], Any], tuple[Found, Any]]
+LONG = {"DOP853": 3e-14, "Radau": 1e-12}  # rtol over a whole run: Radau's steps are too many at its tightest
+
+
+def reference_bodies(scene: Scene, solver: str, *, rtol: float | None = None, steps: Steps | None = None,
+                     tell: Callable[[], None] | None = None) -> Bodies:
+    """The scene's bodies, those without a closed form moved by `solver`; its `rtol`, left out, is that of `LONG`.
+
+    `steps` counts the stack's own steps beside them; `tell` is called before each of them.
+    """
+    steps = Steps() if steps is None else steps
+
+    def beside(other: Callable[..., Found], own: Move, state: tuple[Any, ...], z: Any) -> tuple[Found, Any]:
+        """The solver's step, and the inner state after the stack's own, which is counted."""
+        if tell is not None:
+            tell()
+        found, mine = other(*state), own(z)
+        steps.add(mine[:2], found[:2], changed=found[2] > 0, integrated=mine[-1] is not z)
+        return found, mine[-1]
+
+    return bodies_moved(scene, solver, rtol or LONG[solver], beside)
+
+
+def bodies_moved(scene: Scene, solver: str, rtol: float, watch: Watch) -> Bodies:
+    """The scene's bodies, those without a closed form moved as `watch` answers.
+
+    It is given how `solver` moves a body, how the stack does from an inner state, what the solver's function takes,
+    and the stack's inner state; it returns `Found` and that state after the tick.
+    """
+    exact, dt = exact_bodies(scene), scene.dt_ns / 1e9
+
+    def moved(still: Plant, _: Any) -> Plant:
+        if (equation := core_of(still)) is None:
+            return still
+        side, at, core = equation
+        own = still.start
+
+        def by_solver(x: float, v: float, f: float, s: float) -> Found:
+            p, u, changes = settle(core, side * (x - at), side * v, side * f, side * s, dt, solver, rtol)
+            return at + side * p, side * u, changes
+
+        def move(_: Any, x: float, v: float, f: float, z: Any, s: float = 0.0) -> tuple[Any, ...]:
+            nonlocal own
+            (x1, v1, _), own = watch(by_solver, lambda own: still.move(still.c, x, v, f, own, s), (x, v, f, s), own)
+            return x1, v1, 0, z
+
+        return still._replace(move=move, report=None)
+
+    slaves = rebuilt(scene, moved)
+    if scene.master.friction == 0.0:
+        return exact._replace(slaves=slaves)
+    core, b, stock = exact.master[0][0], scene.master.damping, exact.instead["move_held"]
+    inner = cycle([[each] for each in exact.inner_m])
+
+    def hold_by_solver(x: float, v: float, f_m: float, r0: float, r1: float) -> Found:
+        s = (r1 - r0) / dt
+        y, w, changes = settle(core, x - r0, v - s, -(f_m + b * s), s, dt, solver, rtol)
+        return r1 + y, s + w, changes
+
+    def move_held(c: Any, x: float, v: float, f_m: float, r0: float, r1: float, z: Any) -> tuple[float, float, Any]:
+        own, state = next(inner), (x, v, f_m, r0, r1)
+        (x1, v1, _), own[0] = watch(hold_by_solver, lambda z: stock(c, *state, z), state, own[0])
+        return x1, v1, z
+
+    return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move_held}, report_m=None)

@@ -16,10 +16,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from teleop.analysis.precision.contenders.outsiders import there
-from teleop.analysis.precision.reference.deviation import errors
+from teleop.analysis.precision.contenders import there
+from teleop.analysis.precision.reference.deviation import Steps, errors
 from teleop.analysis.precision.reference.digits import DIGITS
-from teleop.analysis.precision.reference.steps import Steps
 from teleop.errors import Refused
 from teleop.simulation.integrators.parts import core_of, has_closed_form, stills
 from teleop.simulation.virtual import run
@@ -45,7 +44,7 @@ class Truth:
     method: str  # of the reference: "40 digits" or DOP853
     sentence: str
     result: Result  # the reference
-    own: Result  # the run of the stack's own bodies
+    stack: Result  # the run of the stack's own bodies
     off: Mapping[str, float]  # the reference's own error by column: its rounding, or an estimate
     steps: Mapping[str, Steps]  # the stack's single steps beside those of each reference
     estimates: Mapping[str, Mapping[str, float]]  # of the stack's integration by itself, by end
@@ -65,13 +64,13 @@ def truth_of(scene: Scene, seed: int, clock: Callable[[], int], *, patient: bool
                       "installed; type: pip install scipy")
     show(0.0, "the stack's own run")
     began = clock()
-    own = run(scene, seed=seed)
+    stack = run(scene, seed=seed)
     took = (clock() - began) / 1e9
-    result, method, sentence, off, steps = (_in_digits(scene, seed, own.ticks, show) if exact else
-                                            _integrated(scene, seed, clock, own.ticks, patient=patient, show=show))
-    estimates: Any = own.extra.get("integration", {})
-    return Truth(method=method, sentence=sentence, result=result, own=own, off=off, steps=steps, estimates=estimates,
-                 bound=None if exact else bound_of(scene, own), took=took)
+    result, method, sentence, off, steps = (_in_digits(scene, seed, stack.ticks, show) if exact else
+                                            _integrated(scene, seed, clock, stack.ticks, patient=patient, show=show))
+    estimates: Any = stack.extra.get("integration", {})
+    return Truth(method=method, sentence=sentence, result=result, stack=stack, off=off, steps=steps,
+                 estimates=estimates, bound=None if exact else bound_of(scene, stack), took=took)
 
 
 def bound_of(scene: Scene, result: Result) -> dict[str, float] | None:
@@ -102,7 +101,7 @@ Found = tuple["Result", str, str, Mapping[str, float], Mapping[str, Steps]]
 
 
 def _in_digits(scene: Scene, seed: int, ticks: int, show: Show) -> Found:
-    from teleop.analysis.precision.reference.digit_bodies import run_in_digits
+    from teleop.analysis.precision.reference.digits import run_in_digits
 
     method = f"{DIGITS} digits"
     result, off, steps = run_in_digits(scene, seed, _progress(show, f"the reference in {method}", ticks * scene.axes))
@@ -111,15 +110,15 @@ def _in_digits(scene: Scene, seed: int, ticks: int, show: Show) -> Found:
 
 
 def _integrated(scene: Scene, seed: int, clock: Callable[[], int], ticks: int, *, patient: bool, show: Show) -> Found:
-    from teleop.analysis.precision.reference.tight import LONG, reference_bodies
+    from teleop.analysis.precision.reference.reference import LONG, reference_bodies
 
     seconds = _foretold(scene, seed, clock, ticks)
     if seconds["DOP853"] > PATIENCE and not patient:
         raise Refused(f"the reference of {ticks} ticks without a closed form would take about "
                       f"{seconds['DOP853']:.0f} s; shorten the run, for example --set duration=5, or write --rounds 1 "
                       "and wait")
-    other = "Radau" if patient or seconds["Radau"] <= PATIENCE else "DOP853"
-    half = seconds["DOP853"] / max(seconds["DOP853"] + seconds[other], 1e-9)
+    second = "Radau" if patient or seconds["Radau"] <= PATIENCE else "DOP853"
+    half = seconds["DOP853"] / max(seconds["DOP853"] + seconds[second], 1e-9)
     moved = max(_integrated_bodies(scene), 1) * ticks
 
     def by(solver: str, rtol: float, before: float, after: float) -> tuple[Result, Steps]:
@@ -129,14 +128,14 @@ def _integrated(scene: Scene, seed: int, clock: Callable[[], int], ticks: int, *
         return run(scene, seed=seed, bodies=reference_bodies(scene, solver, rtol=rtol, steps=steps, tell=tell)), steps
 
     result, steps = by("DOP853", LONG["DOP853"], 0.0, half)
-    rtol = LONG["Radau"] if other == "Radau" else LOOSER
-    check, beside = by(other, rtol, half, 1.0)
+    rtol = LONG["Radau"] if second == "Radau" else LOOSER
+    check, beside = by(second, rtol, half, 1.0)
     off = {name: error.max for name, error in errors(check.trace, result.trace).items()}
-    differs = f"by {other} at {rtol:.0e} the run differs by at most {_sizes(off)}"
-    if other == "DOP853":
+    differs = f"by {second} at {rtol:.0e} the run differs by at most {_sizes(off)}"
+    if second == "DOP853":
         differs += f" (Radau would take about {seconds['Radau']:.0f} s; --rounds 1 has it)"
     return (result, "DOP853", f"scipy's DOP853 at rtol {LONG['DOP853']:.0e}, every change of mode located; {differs}",
-            off, {"DOP853": steps} | ({other: beside} if other != "DOP853" else {}))
+            off, {"DOP853": steps} | ({second: beside} if second != "DOP853" else {}))
 
 
 def _sizes(off: Mapping[str, float]) -> str:
@@ -157,7 +156,7 @@ def _progress(show: Show, text: str, steps: int) -> Callable[[], None]:
 
 
 def _integrated_bodies(scene: Scene) -> int:
-    """How many bodies have no closed form."""
+    """Count the bodies without a closed form."""
     masters = scene.axes if scene.master.friction > 0.0 else 0
     return masters + sum(core_of(still) is not None for still, _ in stills(scene))
 
@@ -166,7 +165,7 @@ def _foretold(scene: Scene, seed: int, clock: Callable[[], int], ticks: int) -> 
     """Seconds that the run would take by each solver, from some steps of the stack's own run, evenly spaced."""
     import scipy.integrate  # noqa: F401 - not within the first step that is timed
 
-    from teleop.analysis.precision.reference.tight import LONG, bodies_moved
+    from teleop.analysis.precision.reference.reference import LONG, bodies_moved
 
     every = max(1, ticks // SAMPLES) | 1  # odd, so that two bodies which take turns are both among them
     seconds = {}

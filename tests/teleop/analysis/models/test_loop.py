@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import teleop.analysis.models.roots
-from teleop.analysis.models.curve import circle
 from teleop.analysis.models.linear import LinearScene, StateSpace
-from teleop.analysis.models.loop import Loop, open_poles, sampled_loop, transfer
+from teleop.analysis.models.loop import Loop, circle, open_poles, sampled_loop, transfer
 from teleop.analysis.models.margins import critical_round_trip, gain_margin, integrators
 from teleop.analysis.models.roots import dense, dominant, greatest
 

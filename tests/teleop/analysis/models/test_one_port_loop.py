@@ -12,8 +12,7 @@ from scipy.linalg import expm
 from master.hand import Grip, Rest
 from scenarios.encoder_wall import scene as encoder_wall
 from teleop.analysis.models.one_port_loop import controller, one_port
-from teleop.analysis.stability.assess import critical, is_stable, stability
-from teleop.analysis.stability.swing import swing
+from teleop.analysis.stability.assess import critical, is_stable, stability, swing
 from teleop.errors import Refused
 from teleop.laws.virtual_coupling import VirtualCoupling, rendered_impedance
 from teleop.laws.virtual_wall import VirtualWall

@@ -219,7 +219,7 @@ class TestCriteria:
     def test_what_is_felt_of_any_passive_environment_is_passive(
             self, port: TwoPort, resistance: float, reactance: float) -> None:
         if port.absolutely_stable[0]:
-            assert port.felt(np.array([complex(resistance, reactance)]))[0].real >= -1e-6
+            assert port.perceived_impedance(np.array([complex(resistance, reactance)]))[0].real >= -1e-6
 
     @settings(max_examples=100)
     @given(port=matrices)
@@ -229,7 +229,7 @@ class TestCriteria:
             return
         # 1/(h22 + 1/Z) fills a disc as Z does the right half-plane; its rim are the reactances.
         reactances = 1.0 / (1j * np.tan(np.linspace(-pi / 2, pi / 2, 20_001)[1:-1]) * 10.0 + 1e-30)
-        assert port.felt(reactances).real.min() < 0.0
+        assert port.perceived_impedance(reactances).real.min() < 0.0
 
     @settings(max_examples=100)
     @given(port=matrices)
@@ -242,7 +242,7 @@ class TestCriteria:
     def test_an_ideal_teleoperator_is_transparent(self) -> None:
         ideal = TwoPort(np.array([1.0]), np.array([[[0.0, 1.0], [-1.0, 0.0]]], dtype=complex))
         assert ideal.eta[0] == pytest.approx(1.0)
-        assert ideal.felt(np.array([3.0 - 7.0j]))[0] == pytest.approx(3.0 - 7.0j)
+        assert ideal.perceived_impedance(np.array([3.0 - 7.0j]))[0] == pytest.approx(3.0 - 7.0j)
 
     def test_edges_of_bands_do_not_depend_on_the_grid(self) -> None:
         """eta = 1 + (f - 3)(f - 5)."""

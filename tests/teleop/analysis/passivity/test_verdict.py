@@ -140,7 +140,7 @@ class TestEncoder:
     def test_a_spring_alone_is_at_the_bound_of_abbott_and_okamura(self, friction: float, passive: bool) -> None:
         got = one_port(wall(step=D, friction=friction))
         assert got.passive is passive
-        assert got.verdict.asked == pytest.approx(800.0 * D / 2)
+        assert got.verdict.friction == pytest.approx(800.0 * D / 2)
         assert got.quantised == pytest.approx(2 * friction / D)
 
     @pytest.mark.parametrize(("B", "b", "friction", "passive"), [
@@ -150,7 +150,7 @@ class TestEncoder:
         """(D/2)(K + 2 B/T) is enough; less may be."""
         got = one_port(wall(B=B, b=b, step=D, friction=friction))
         assert got.passive is passive
-        assert got.verdict.asked == pytest.approx(D / 2 * (800.0 + 2 * B / T))
+        assert got.verdict.friction == pytest.approx(D / 2 * (800.0 + 2 * B / T))
         assert got.quantised is None  # a bound of springs alone
 
     def test_behind_a_virtual_coupling_it_has_no_known_bound(self) -> None:

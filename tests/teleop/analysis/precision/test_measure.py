@@ -18,11 +18,10 @@ from channel.delay import Delay
 from master.hand import Grip, Rest
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop.analysis.precision.contenders.contenders import Contender
-from teleop.analysis.precision.contenders.outsiders import outsider_bodies
+from teleop.analysis.precision.contenders import Contender, outsider_bodies
 from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, verdicts
-from teleop.analysis.precision.reference.deviation import NEAR, Error, contacts, felt, missed
-from teleop.analysis.precision.reference.digit_bodies import run_in_digits
+from teleop.analysis.precision.reference.deviation import NEAR, Error, contacts, missed, touching
+from teleop.analysis.precision.reference.digits import run_in_digits
 from teleop.analysis.precision.report import summary, table
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
@@ -88,7 +87,7 @@ class TestTheReference:
     def test_a_bounce_between_two_ticks_is_followed(self) -> None:
         scene = strike(environment=Wall(k=1e9, d=0.0, at=1.0005e-3))
         trace = run(scene).trace
-        unseen = felt(scene, trace)[:-1] & (trace["f_env"][:-1] == 0.0) & (trace["f_env"][1:] == 0.0)
+        unseen = touching(scene, trace)[:-1] & (trace["f_env"][:-1] == 0.0) & (trace["f_env"][1:] == 0.0)
         _, _, steps = run_in_digits(scene, 0)
         assert steps.changes >= unseen.sum() > 0
 
@@ -120,7 +119,7 @@ class TestContacts:
     def test_a_bounce_within_one_tick_is_felt_though_no_tick_sees_a_force(self) -> None:
         scene = strike(environment=Wall(k=1e9, d=0.0, at=1.0005e-3))
         trace = run(scene).trace
-        felt_at = felt(scene, trace)
+        felt_at = touching(scene, trace)
         unseen = felt_at & (trace["f_env"] == 0.0)
         assert unseen.any()
         turned = np.flatnonzero((trace["v_s"][:-1] > 0.0) & (trace["v_s"][1:] < -0.5 * trace["v_s"][:-1]))
@@ -131,7 +130,7 @@ class TestContacts:
     @pytest.mark.parametrize("damping", [0.0, 20.0])
     def test_in_free_space_nobody_feels_anything(self, method: Any, damping: float) -> None:
         scene = strike(environment=None, slave=MassDamper(mass=0.3, damping=damping))
-        assert not felt(scene, run(scene, bodies=method_bodies(scene, method, 4)).trace).any()
+        assert not touching(scene, run(scene, bodies=method_bodies(scene, method, 4)).trace).any()
 
     def test_contacts_near_each_other_are_one_and_one_that_was_not_felt_is_missed(self) -> None:
         touching = np.zeros(200, dtype=bool)

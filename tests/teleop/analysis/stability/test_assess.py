@@ -23,8 +23,7 @@ from teleop import Refused, Scene, load_scene, run
 from teleop.analysis.models.continuous import Continuous, continuous
 from teleop.analysis.models.linear import linear_scene
 from teleop.analysis.stability import report
-from teleop.analysis.stability.assess import critical, is_stable, lowest, stability
-from teleop.analysis.stability.swing import swing
+from teleop.analysis.stability.assess import critical, is_stable, lowest, stability, swing
 from teleop.errors import number
 from teleop.law import At
 from teleop.laws.direct import Direct

@@ -12,9 +12,8 @@ from teleop import Refused, Scene, load_scene
 from teleop.analysis.models.linear import linear_scene
 from teleop.analysis.models.loop import sampled_loop
 from teleop.analysis.models.margins import critical_round_trip, integrators
-from teleop.analysis.stability.assess import is_stable, stability
+from teleop.analysis.stability.assess import KICK, Staying, is_stable, kicked_axes, stability
 from teleop.analysis.stability.report import ask, summary, table
-from teleop.analysis.stability.swing import KICK, Staying, kicked_axes
 
 LINEAR = {"friction_m": 0.0, "friction_s": 0.0, "f_max": None}
 

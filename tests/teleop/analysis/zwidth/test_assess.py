@@ -15,14 +15,12 @@ import pytest
 
 import teleop.analysis.zwidth.assess
 import teleop.analysis.zwidth.command
-import teleop.analysis.zwidth.measured
 import teleop.terminal.answer
 from teleop.analysis.models.by_axis import along
-from teleop.analysis.zwidth.assess import ZWidth, assess, span
-from teleop.analysis.zwidth.levers import levers
+from teleop.analysis.zwidth.assess import ZWidth, assess, levers, span
 from teleop.analysis.zwidth.plane import Span
 from teleop.analysis.zwidth.plot import PLOTS
-from teleop.analysis.zwidth.report import numbers, ratios, said, summary, table
+from teleop.analysis.zwidth.report import format_value, numbers, ratios, summary, table
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -150,8 +148,8 @@ class TestPlane:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs in virtual time too short to be trusted."""
-    monkeypatch.setattr(teleop.analysis.zwidth.measured, "LASTING", 0.1)
-    monkeypatch.setattr(teleop.analysis.zwidth.measured, "TICKS", (100, 100))
+    monkeypatch.setattr(teleop.analysis.zwidth.assess, "LASTING", 0.1)
+    monkeypatch.setattr(teleop.analysis.zwidth.assess, "TICKS", (100, 100))
 
 
 class TestInterrupt:
@@ -219,7 +217,7 @@ class TestJson:
         (None, "-"), (float("inf"), "no limit"), (0.0, "0"), (12345.6, "12350"), (0.83853, "0.8385"),
     ])
     def test_numbers_have_four_digits_and_no_exponents(self, value: float | None, text: str) -> None:
-        assert said(value) == text
+        assert format_value(value) == text
 
 
 class TestThePlane:
@@ -354,10 +352,10 @@ CHILD = """
 import signal, sys
 from itertools import islice
 signal.signal(signal.SIGINT, signal.default_int_handler)
-import teleop.analysis.zwidth.assess as assess, teleop.analysis.zwidth.measured as measured
+import teleop.analysis.zwidth.assess as assess
 every = assess.levers
 assess.levers = lambda scene: islice(every(scene), 1)
-measured.LASTING, measured.TICKS = 0.1, (100, 100)
+assess.LASTING, assess.TICKS = 0.1, (100, 100)
 from teleop.__main__ import main
 raise SystemExit(main(["zwidth", "virtual_wall", "--out", "here", "--plot", "--range-b", "0:0.1"]))
 """

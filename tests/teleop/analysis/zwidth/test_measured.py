@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-import teleop.analysis.zwidth.measured
+import teleop.analysis.zwidth.assess
 from teleop.analysis.models.rest import FreeMotion, settled
-from teleop.analysis.zwidth.measured import let_go, stiffest_at_rest
+from teleop.analysis.zwidth.assess import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.plane import boundary, loop
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
@@ -51,7 +51,7 @@ def test_up_to_what_is_found_all_that_were_tried_rest() -> None:
         return found
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(teleop.analysis.zwidth.measured, "settled", noted)
+        patch.setattr(teleop.analysis.zwidth.assess, "settled", noted)
         K = stiffest_at_rest(scene, 0.2, near=3000.0)
     assert K is not None
     assert max(tried[:10])[0] > 5.0 * tried[0][0]

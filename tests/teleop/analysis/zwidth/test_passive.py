@@ -16,8 +16,7 @@ from teleop.analysis.models.sampled import (
     quantised_stiffness,
     spring_damper,
 )
-from teleop.analysis.zwidth.passive import Region, passive_region
-from teleop.analysis.zwidth.polygon import Point
+from teleop.analysis.zwidth.passive import Point, Region, passive_region
 from teleop.laws.virtual_coupling import VirtualCoupling
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper

@@ -10,7 +10,7 @@ import pytest
 
 import teleop.analysis.zwidth.plane
 from master.hand import Grip, Rest
-from teleop.analysis.models.gains import with_gains
+from teleop.analysis.models.law_parts import with_gains
 from teleop.analysis.stability.assess import critical
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.analysis.zwidth.plane import (

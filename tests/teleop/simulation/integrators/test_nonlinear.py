@@ -17,7 +17,7 @@ from slave.moving import Moving
 from slave.standard_linear_solid import StandardLinearSolid
 from slave.tissue import Tissue
 from slave.wall import Wall
-from teleop.analysis.precision.contenders.outsiders import outsider_bodies
+from teleop.analysis.precision.contenders import outsider_bodies
 from teleop.analysis.precision.reference.reference import settle
 from teleop.errors import Refused
 from teleop.physics.plant import MassDamper

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 
 from slave.wall import Wall
-from teleop.analysis.precision.reference.deviation import errors
-from teleop.analysis.precision.reference.digit_bodies import digit_bodies, run_in_digits
-from teleop.analysis.precision.reference.digits import Body, Linear, Motion
+from teleop.analysis.precision.reference.deviation import Steps, errors
+from teleop.analysis.precision.reference.digits import Body, Equation, Motion, digit_bodies, run_in_digits
 from teleop.analysis.precision.reference.reference import settle
-from teleop.analysis.precision.reference.steps import Steps
 from teleop.physics.sdirk import BOND, WALL
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -141,7 +139,7 @@ class TestARun:
             return x + 1e-9 * (next(made) == 17), v, more
 
         crooked = own._replace(slaves=[plant._replace(move=bent)])
-        monkeypatch.setattr("teleop.analysis.precision.reference.digit_bodies.exact_bodies", lambda _: crooked)
+        monkeypatch.setattr("teleop.analysis.precision.reference.digits.exact_bodies", lambda _: crooked)
         monkeypatch.setattr("teleop.simulation.integrators.parts.exact_bodies", lambda _: own)
         steps = Steps()
         run(scene, bodies=digit_bodies(scene, steps)[0])
@@ -163,7 +161,7 @@ class TestATick:
         for _ in range(40):
             k, d = 10 ** dice.uniform(2, 6), dice.choice([0.0, 3.0, 50.0])
             p, u, f = dice.uniform(-1e-3, 1e-3), dice.uniform(-1.0, 1.0), dice.uniform(-20.0, 20.0)
-            body = Body(Motion(Linear(*map(Decimal, (0.5, 1.0 + d, k))), Decimal(1), wall=Decimal(d)), 2_000_000)
+            body = Body(Motion(Equation(*map(Decimal, (0.5, 1.0 + d, k))), Decimal(1), wall=Decimal(d)), 2_000_000)
             want = settle((WALL, 0.5, 1.0, k, d, 1.5, 0.0, 0.0), p, u, f, 0.0, 2e-3, "DOP853")
             assert body.move(p, u, f)[:2] == pytest.approx(want[:2], rel=1e-10, abs=1e-13)
             assert body.changes == want.changes
@@ -172,7 +170,7 @@ class TestATick:
 
     @pytest.mark.parametrize("k", [1e14, 1e9])
     def test_pressed_against_a_wall_too_stiff_for_an_integrator_it_rests_at_its_depth(self, k: float) -> None:
-        body = Body(Motion(Linear(*map(Decimal, (0.5, 1.0, k))), Decimal(1), wall=Decimal(0)), 1_000_000)
+        body = Body(Motion(Equation(*map(Decimal, (0.5, 1.0, k))), Decimal(1), wall=Decimal(0)), 1_000_000)
         state = 1.0 / k, 0.0
         for _ in range(3):
             state = body.move(*state, 1.0)[:2]
@@ -180,16 +178,16 @@ class TestATick:
 
     def test_stiff_and_overdamped_it_is_the_matrix_exponential(self) -> None:
         m, c, k, f = 0.3, 2e4, 1e6, 3.0
-        body = Body(Motion(Linear(*map(Decimal, (m, c, k))), Decimal(0)), 1_000_000)
+        body = Body(Motion(Equation(*map(Decimal, (m, c, k))), Decimal(0)), 1_000_000)
         with mpmath.workdps(60):
             want = linear_step(*map(exact, (m, c, k, 1e-3, -0.5, f)), mpmath.mpf("0.001"))
         assert body.move(1e-3, -0.5, f)[:2] == tuple(map(float, want))
 
     def test_bonded_it_is_that_of_dop853(self) -> None:
-        body = Body(Motion(Linear(*map(Decimal, (0.5, 4.0, 2000.0))), Decimal(1)), 2_000_000)
+        body = Body(Motion(Equation(*map(Decimal, (0.5, 4.0, 2000.0))), Decimal(1)), 2_000_000)
         want = settle((BOND, 0.5, 1.0, 2000.0, 3.0, 1.5, 0.0, 0.0), 0.01, 0.3, 4.0, 0.0, 2e-3, "DOP853")
         assert body.move(0.01, 0.3, 4.0)[:2] == pytest.approx(want[:2], rel=1e-13)
 
     def test_what_is_not_finite_stays_so(self) -> None:
-        body = Body(Motion(Linear(Decimal(1), Decimal(0)), Decimal(0)), 1_000_000)
+        body = Body(Motion(Equation(Decimal(1), Decimal(0)), Decimal(0)), 1_000_000)
         assert np.isnan(body.move(float("inf"), 0.0, 0.0)).all()

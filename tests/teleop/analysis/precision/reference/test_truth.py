@@ -17,12 +17,10 @@ import teleop.analysis.precision.reference.truth as truth_module
 from slave.hunt_crossley import HuntCrossley
 from slave.wall import Wall
 from teleop.analysis.models.by_axis import along, own_parts
-from teleop.analysis.precision.contenders.contenders import Contender
-from teleop.analysis.precision.costs import step_costs
-from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, verdicts
-from teleop.analysis.precision.reference.deviation import felt
-from teleop.analysis.precision.reference.steps import Steps
-from teleop.analysis.precision.reference.tight import reference_bodies
+from teleop.analysis.precision.contenders import Contender
+from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, step_costs, verdicts
+from teleop.analysis.precision.reference.deviation import Steps, touching
+from teleop.analysis.precision.reference.reference import reference_bodies
 from teleop.analysis.precision.reference.truth import Truth, bound_of, truth_of
 from teleop.analysis.precision.report import summary, table
 from teleop.errors import Refused
@@ -135,7 +133,7 @@ class TestTheReference:
         assert all(steps.x < (1e-14 if exact else 2e-9) for steps in found.steps.values())
         assert all((steps.integrated > 0) != exact or not steps.changes for steps in found.steps.values())
         assert exact <= (found.bound is None)
-        assert same(found.own, run(scene))
+        assert same(found.stack, run(scene))
 
     def test_it_is_shown_how_far_it_is(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(truth_module, "OFTEN", 5)
@@ -288,7 +286,7 @@ class TestTheContenders:
 
     def test_friction_alone_is_not_felt_as_a_contact(self) -> None:
         scene = strike(environment=None, slave=RUBBING)
-        assert not felt(scene, run(scene).trace).any()
+        assert not touching(scene, run(scene).trace).any()
 
     def test_what_lies_below_the_references_own_error_is_not_told_apart(self) -> None:
         first, better = entry("default", 100.0, 1e-8, 1e-5), entry("a", 130.0, 1e-9, 1e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.util import find_spec
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,31 @@ from teleop.simulation.integrators.stepped import touch_of
 if TYPE_CHECKING:
     from teleop.physics.sdirk import Core
     from teleop.scene.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Contender:
+    """A way to move the bodies: the stack's own, a fixed-step method with `substeps`, or scipy's solver with `rtol`.
+
+    The stack's own is `exact` where every body has a closed form, else `default`.
+    """
+
+    method: str
+    label: str
+    bodies: Bodies
+    substeps: int | None = None
+    rtol: float | None = None
+
+    @property
+    def step(self) -> str:
+        """Number of its sub-steps, or its rtol."""
+        return str(self.substeps) if self.substeps else f"{self.rtol:.0e}" if self.rtol else ""
+
+    @property
+    def key(self) -> str:
+        """Name among all contenders, for example `rk4/16`."""
+        return f"{self.method}/{self.step}" if self.step else self.method
+
 
 Rate = Callable[[float, Any, float], tuple[float, float]]  # (t, (p, u), f) -> (p', u')
 

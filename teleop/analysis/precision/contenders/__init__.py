@@ -1,1 +1,0 @@
-"""Contenders: the methods whose precision is compared."""
