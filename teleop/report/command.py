@@ -1,4 +1,4 @@
-"""What `teleop report` does: the tables of stored folders, their plots, and one page of HTML of them all."""
+"""The command `teleop report`: tables of stored folders, their plots, and one page of HTML of them all."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pathlib import Path
 from teleop.errors import Refused
 from teleop.live.records.merge import merge, scene_of
 from teleop.live.records.reader import FILE
-from teleop.report.kinds import MOST_FOLDERS, read, run_told, sections_of
-from teleop.report.page import Told, page
+from teleop.report.kinds import MOST_FOLDERS, read, run_report, sections_of
+from teleop.report.page import FolderReport, page
 from teleop.simulation.result import RUNNING
 from teleop.storage.files import read_bytes, replacing
 from teleop.storage.folder import new_folder
@@ -31,45 +31,46 @@ def command(args: Namespace) -> Answer:
     if len(folders) > MOST_FOLDERS:
         raise Refused(f"{len(folders)} folders are more than one page can show; give at most {MOST_FOLDERS}")
     if len(folders) == 2 and any((folder / FILE).is_file() for folder in folders):
-        told = [_both_ends(args, folders[0], folders[1], formats)]
+        reports = [_both_ends(args, folders[0], folders[1], formats)]
     elif args.out is not None:
         raise Refused("--out names the new folder of a run whose two ends are given, MASTER SLAVE; to name the file of "
                       "the page, type --html FILE")
     else:
-        told = [read(folder, args, formats) for folder in folders]
-    answer = told[0].answer if len(told) == 1 else _joined(told)
+        reports = [read(folder, args, formats) for folder in folders]
+    answer = reports[0].answer if len(reports) == 1 else _joined(reports)
     if args.json and args.html is None and not args.open:
         return answer
-    return _with_page(answer, told, args)
+    return _with_page(answer, reports, args)
 
 
-def _joined(told: Sequence[Told]) -> Answer:
+def _joined(reports: Sequence[FolderReport]) -> Answer:
     """The answers of several folders, one after the other."""
-    return Answer("\n\n".join(each.answer.text for each in told),
-                  {"folders": [dict(each.answer.document) for each in told]}, max(each.answer.code for each in told))
+    return Answer("\n\n".join(each.answer.text for each in reports),
+                  {"folders": [dict(each.answer.document) for each in reports]},
+                  max(each.answer.code for each in reports))
 
 
-def _both_ends(args: Namespace, master: Path, slave: Path, formats: Sequence[str]) -> Told:
+def _both_ends(args: Namespace, master: Path, slave: Path, formats: Sequence[str]) -> FolderReport:
     """The two ends of a live run that was started by hand, as one run in a new folder."""
     result = merge(scene_of(master, trust=args.trust), master, slave)
     if result.status == RUNNING:
-        return Told(master, answer_of(result, args.typed), running=True)
+        return FolderReport(master, answer_of(result, args.typed), running=True)
     with new_folder(args.out, Path(result.scene).name.removesuffix(".py")) as new:
         result.write(new.inside, args.typed)
-    return run_told(new.path, replace(result, path=new.path), args.typed, formats)
+    return run_report(new.path, replace(result, path=new.path), args.typed, formats)
 
 
-def _with_page(answer: Answer, told: Sequence[Told], args: Namespace) -> Answer:
+def _with_page(answer: Answer, reports: Sequence[FolderReport], args: Namespace) -> Answer:
     """Write the page and name it; where it was not asked for by name, that it cannot be written is no error."""
-    running = next((each for each in told if each.running), None)
+    running = next((each for each in reports if each.running), None)
     if running is not None:
         why = f"{running.folder} is still being written; ask again when that is over"
         if args.html is not None or args.open:
             raise Refused(f"no page is made: {why}")
         return answer._replace(text=f"{answer.text}\nno page: {why}")
-    path = Path(args.html) if args.html is not None else (told[0].folder if len(told) == 1 else Path()) / NAME
+    path = Path(args.html) if args.html is not None else (reports[0].folder if len(reports) == 1 else Path()) / NAME
     try:
-        path = write_page(page(sections_of(told)), path)
+        path = write_page(page(sections_of(reports)), path)
     except OSError as error:
         why = f"could not write {path} ({error.strerror or error}); name another file, --html FILE"
         if args.html is not None or args.open:

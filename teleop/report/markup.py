@@ -35,9 +35,9 @@ def element(name: str, attributes: dict[str, object] | None = None, *inside: str
     >>> print(element("td", {"class": "n"}, "a < b"))
     <td class="n">a &lt; b</td>
     """
-    told = "".join(f' {key}="{text(value if isinstance(value, str) else str(value))}"'
+    texts = "".join(f' {key}="{text(value if isinstance(value, str) else str(value))}"'
                    for key, value in (attributes or {}).items() if value is not None)
-    return Markup(f"<{name}{told}>{''.join(map(text, inside))}</{name}>")
+    return Markup(f"<{name}{texts}>{''.join(map(text, inside))}</{name}>")
 
 
 def empty(name: str, attributes: dict[str, object]) -> Markup:
@@ -60,7 +60,7 @@ def path_data(commands: str) -> Markup:
 
 
 def joined(parts: Iterable[str]) -> Markup:
-    """One after the other, all but `Markup` escaped."""
+    """Join parts one after the other, all but `Markup` escaped."""
     return Markup("".join(map(text, parts)))
 
 
@@ -83,10 +83,10 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool =
                                                        element("tbody", None, *lines)))
 
 
-def _cell(said: str, numbers: bool) -> Markup:
+def _cell(sentence: str, numbers: bool) -> Markup:
     """A cell; what is short stays on one line."""
-    kinds = ["n"] * numbers + ["k"] * (not isinstance(said, Markup) and len(said) <= SHORT)
-    return element("td", {"class": " ".join(kinds) or None}, said)
+    kinds = ["n"] * numbers + ["k"] * (not isinstance(sentence, Markup) and len(sentence) <= SHORT)
+    return element("td", {"class": " ".join(kinds) or None}, sentence)
 
 
 def facts(rows: Iterable[tuple[str, str]]) -> Markup:

@@ -1,4 +1,4 @@
-"""What is said of a comparison's folder: the table and rankings of `teleop compare`, and how every case ended."""
+"""Report of a comparison's folder: the table and rankings of `teleop compare`, and how every case ended."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 from teleop.errors import Refused, number_of
 from teleop.report import svg
 from teleop.report.markup import STATUS, Markup, element, facts, table
-from teleop.report.page import Section, Told, heading, made_by
-from teleop.report.scatter import Group, Plane, Point, scatter
+from teleop.report.page import FolderReport, Section, heading, made_by
+from teleop.report.scatter import Mark, Plane, Series, scatter
 from teleop.scene.axis_labels import SHAPES
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
@@ -51,12 +51,12 @@ _SUMMARY = stored.record({}, {
                                                 "sentences": stored.list_of(stored.text)}))})
 
 
-def comparison_told(folder: Path, args: Namespace) -> Told:
+def comparison_report(folder: Path, args: Namespace) -> FolderReport:
     """A comparison. Raises `Refused`."""
-    asked = [name for name, value in (("--plot", args.plot or args.format), ("--picture", args.picture),
+    request = [name for name, value in (("--plot", args.plot or args.format), ("--picture", args.picture),
                                       ("--metric", args.metric), ("--rows", args.rows)) if value]
-    if asked:
-        raise Refused(f"{folder} holds a comparison; for {asked[0]} type the teleop compare that wrote it again with "
+    if request:
+        raise Refused(f"{folder} holds a comparison; for {request[0]} type the teleop compare that wrote it again with "
                       f"--plot, which runs no row twice, or read {folder / 'rows.csv'}")
     rows = sorted(Store.look(folder).rows(), key=lambda row: row["row"])
     document = _summary(folder)
@@ -68,17 +68,17 @@ def comparison_told(folder: Path, args: Namespace) -> Told:
                       "the teleop compare that wrote it again with another --out") from error
     if not rows:
         raise Refused(f"{folder} holds a comparison without a row yet; type the teleop compare that wrote it again")
-    found = judge_laws(rows, dict.fromkeys(row["law"] for row in rows), document.get("axis_units") or ("m",))
+    verdicts = judge_laws(rows, dict.fromkeys(row["law"] for row in rows), document.get("axis_units") or ("m",))
     links, places = (list(dict.fromkeys(row[name] for row in rows)) for name in ("link", "environment"))
-    said = (f"{number_of(len(found), 'law')}, {number_of(len(links), 'link')}, "
+    words = (f"{number_of(len(verdicts), 'law')}, {number_of(len(links), 'link')}, "
             f"{number_of(len(places), 'environment')}; {number_of(len(rows), 'row')}")
     notes = [*document.get("notes", ()), *[f"{one['law']} over {one['link']}: {one['sentences'][0]}" for one in
                                            document.get("conditions", ()) if one["sentences"]]]
-    heading_ = f"compare   {document.get('file', folder)}: {said}"
-    answer = Answer(text(found, rankings(found), (), heading_, notes) + f"\nwritten to {folder}",
+    heading_ = f"compare   {document.get('file', folder)}: {words}"
+    answer = Answer(text(verdicts, rankings(verdicts), (), heading_, notes) + f"\nwritten to {folder}",
                     {**document, "done": len(rows), "path": str(folder)})
-    return Told(folder, answer, running=is_growing(folder), section=lambda: _section(
-        folder.resolve().name, document, rows, found, said, notes))
+    return FolderReport(folder, answer, running=is_growing(folder), section=lambda: _section(
+        folder.resolve().name, document, rows, verdicts, words, notes))
 
 
 def _summary(folder: Path) -> dict[str, Any]:
@@ -91,26 +91,27 @@ def _summary(folder: Path) -> dict[str, Any]:
     return document
 
 
-def _section(name: str, document: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], found: Sequence[LawVerdict],
-             said: str, notes: Sequence[str]) -> Section:
-    columns = columns_to_show(found)
+def _section(name: str, document: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], verdicts: Sequence[LawVerdict],
+             words: str, notes: Sequence[str]) -> Section:
+    columns = columns_to_show(verdicts)
     head = ["law", "ok", "osc", "div", *[f"{one.head} ({one.unit})" if one.unit else one.head for one in columns]]
     ranked = [(one.column.question, " | ".join(group_text(group, one.column) for group in one.groups)
                + (f"; half of the runs failed: {', '.join(one.failed)}" if one.failed else ""))
-              for one in rankings(found)]
-    more = [("", f"and {len(notes) - NOTES} more, which summary.json has")] * (len(notes) > NOTES)
-    blocks = [table(head, [cells(one, columns) for one in found]),
-              element("p", {"class": "sub small"}, legend(found, 10**6)), *_status(rows, found), *_tracking(found),
+              for one in rankings(verdicts)]
+    omitted = [("", f"and {len(notes) - NOTES} more, which summary.json has")] * (len(notes) > NOTES)
+    blocks = [table(head, [cells(one, columns) for one in verdicts]),
+              element("p", {"class": "sub small"}, legend(verdicts, 10**6)),
+              *_status(rows, verdicts), *_tracking(verdicts),
               *([heading("Best first, = where they tie"), facts(ranked)] if ranked else []),
-              *([heading("Notes"), facts([*[("", note) for note in notes[:NOTES]], *more])] if notes else []),
+              *([heading("Notes"), facts([*[("", note) for note in notes[:NOTES]], *omitted])] if notes else []),
               *made_by(document)]
     return Section(title="Comparison of laws", under=f"folder {name}", status=str(document.get("status", "")),
-                   sentence=said, blocks=blocks)
+                   sentence=words, blocks=blocks)
 
 
-def _status(rows: Sequence[Mapping[str, Any]], found: Sequence[LawVerdict]) -> list[Markup]:
+def _status(rows: Sequence[Mapping[str, Any]], verdicts: Sequence[LawVerdict]) -> list[Markup]:
     """A map: laws down, links across, a block for each environment; the worst of a case's seeds."""
-    laws = [one.law for one in found]
+    laws = [one.law for one in verdicts]
     links, places = (list(dict.fromkeys(str(row[name]) for row in rows)) for name in ("link", "environment"))
     ended = {law: endings(row for row in rows if row["law"] == law) for law in laws}
     left = 10.0 + svg.CHARACTER * min(24, max(map(len, laws)))
@@ -145,18 +146,19 @@ def _status(rows: Sequence[Mapping[str, Any]], found: Sequence[LawVerdict]) -> l
     lines = -(-len(places) // across)
     parts.append(svg.legend([(style, ", ".join(names)) for style, names in kinds.items()], svg.WIDTH - svg.RIGHT, 11.0))
     counts = "; ".join(f"{one.law}: " + ", ".join(f"{n} {status}" for status, n in sorted(one.ended.items()))
-                       for one in found)
+                       for one in verdicts)
     return [svg.figure("How the cases ended", f"Cases of each law. {counts}.",
                        36.0 + lines * (tall + 20.0) + below, *parts)]
 
 
-def _tracking(found: Sequence[LawVerdict]) -> list[Markup]:
+def _tracking(verdicts: Sequence[LawVerdict]) -> list[Markup]:
     """Tracking error over felt drag: a law far to the right tracks because it holds the hand."""
-    columns = columns_of(found)
+    columns = columns_of(verdicts)
     error, drag = columns["x_err_rms"], columns["felt_drag"]
-    points = [Point(drag.factor * one.figures["felt_drag"].value, error.factor * one.figures["x_err_rms"].value,
-                    one.law[:24], True) for one in found
+    points = [Mark(drag.factor * one.figures["felt_drag"].value, error.factor * one.figures["x_err_rms"].value,
+                    one.law[:24], True) for one in verdicts
               if isfinite(one.figures["felt_drag"].value) and isfinite(one.figures["x_err_rms"].value)]
     if len(points) < 2:
         return []
-    return scatter("Tracking against felt drag", [Plane(axis_title(drag), axis_title(error), [Group("", "m", points)])])
+    return scatter("Tracking against felt drag", [
+        Plane(axis_title(drag), axis_title(error), [Series("", "m", points)])])

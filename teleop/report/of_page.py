@@ -1,4 +1,4 @@
-"""What is said of a page's folder: the parts that it was turned through, in order."""
+"""Report of a page's folder: its parts, between the switches, in order."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 
 from teleop.errors import Refused, number_of
 from teleop.live.records.merge import load_result
-from teleop.report.of_runs import Run, of_parts
-from teleop.report.page import Told
+from teleop.report.of_runs import RunView, of_parts
+from teleop.report.page import FolderReport
 from teleop.simulation.result import RUNNING, stored_summary
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
@@ -33,7 +33,7 @@ _SHAPE = stored.record({
                          most=MOST)}, {"command": stored.list_of(stored.text)})
 
 
-def page_told(folder: Path, args: Namespace, formats: Sequence[str]) -> Told:
+def page_report(folder: Path, args: Namespace, formats: Sequence[str]) -> FolderReport:
     """A page's folder, its parts drawn in `formats`. Raises `Refused`."""
     if args.picture or args.metric or args.rows is not None:
         raise Refused(f"{folder} holds the runs of a page, which have no rows and one plot each; leave --picture, "
@@ -57,7 +57,7 @@ def page_told(folder: Path, args: Namespace, formats: Sequence[str]) -> Told:
 
         at = folder / run.name
         answer = answer.with_plots(at, draw(run.result, at / PLOT, formats))
-    return Told(folder, answer, running=running, section=lambda: of_parts(
+    return FolderReport(folder, answer, running=running, section=lambda: of_parts(
         folder.resolve().name, [run for _, run in parts], [begun for begun, _ in parts], document, SHOWN))
 
 
@@ -77,9 +77,9 @@ def _index(folder: Path) -> dict[str, Any]:
     return document
 
 
-def _parts(folder: Path, document: dict[str, Any], trust: bool) -> tuple[list[tuple[Begun, Run]], list[str]]:
+def _parts(folder: Path, document: dict[str, Any], trust: bool) -> tuple[list[tuple[Begun, RunView]], list[str]]:
     """Each part that can be read, with its first tick and why it began; and why the others cannot."""
-    parts: list[tuple[Begun, Run]] = []
+    parts: list[tuple[Begun, RunView]] = []
     left: list[str] = []
     for entry in document["parts"]:
         at = folder / entry["folder"]
@@ -87,10 +87,11 @@ def _parts(folder: Path, document: dict[str, Any], trust: bool) -> tuple[list[tu
             if at.is_symlink():
                 raise Refused(f"{at} is a link, and what a folder links to is not opened")
             result = load_result(at, trust=trust)
-            told = result.summary() if result.status == RUNNING else stored_summary(at)
-            if not told.get("command"):
-                told = {**told, "command": document.get("command") or []}
-            parts.append(((entry["k"], WHY.get(entry["why"], entry["why"])), Run(entry["folder"], result, told)))
+            run_summary = result.summary() if result.status == RUNNING else stored_summary(at)
+            if not run_summary.get("command"):
+                run_summary = {**run_summary, "command": document.get("command") or []}
+            parts.append(((entry["k"], WHY.get(entry["why"], entry["why"])),
+                          RunView(entry["folder"], result, run_summary)))
         except Refused as refused:
             left.append(str(refused))
     if not parts:

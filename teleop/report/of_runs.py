@@ -1,4 +1,4 @@
-"""What a page says of runs: of one its table, figures, events and knobs; of several the same side by side."""
+"""Report of runs: of one its table, figures, events and knobs; of several the same side by side."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COMPARED = ("x_err_rms", "x_err_max", "f_err_rms", "f_m_max", "f_env_max", "f_m_
 FEW = ("x_err_rms", "f_m_max", "f_env_end", "f_m_end", "T_fwd_mean", "E_port_min")  # of each where runs are rows
 
 
-class Run(NamedTuple):
+class RunView(NamedTuple):
     """A run to tell of: what it is called, and what it left, with its document."""
 
     name: str
@@ -36,8 +36,8 @@ class Run(NamedTuple):
     document: Mapping[str, Any]
 
 
-def of_one(run: Run) -> Section:
-    """One run."""
+def of_one(run: RunView) -> Section:
+    """Run to be shown."""
     result = run.result
     events = _events(result)
     blocks = [*strips([_strip("", result)]), heading("Results"), facts(rows(result)), *_event_table(events),
@@ -47,7 +47,7 @@ def of_one(run: Run) -> Section:
                    sentence=result.sentence, blocks=blocks)
 
 
-def of_several(runs: Sequence[Run], title: str = "", under: str = "", before: Sequence[Markup] = (), shown: int = 12
+def of_several(runs: Sequence[RunView], title: str = "", under: str = "", before: Sequence[Markup] = (), shown: int = 12
                ) -> Section:
     """Runs side by side: one table, or what is given `before` the figures; a figure a quantity with a panel for each
     of the last `shown`.
@@ -56,7 +56,7 @@ def of_several(runs: Sequence[Run], title: str = "", under: str = "", before: Se
     titles = [_title(run, differing[i], i) for i, run in enumerate(runs)]
     if len(set(titles)) < len(titles):
         titles = [f"{i + 1}: {run.name}"[:MOST_TITLE] for i, run in enumerate(runs)]
-    figures = strips([_strip(told, run.result) for told, run in zip(titles, runs, strict=True)][-shown:])
+    figures = strips([_strip(summary, run.result) for summary, run in zip(titles, runs, strict=True)][-shown:])
     note = [element("p", {"class": "sub"}, f"The figures show the last {shown} of {len(runs)}.")] * (len(runs) > shown)
     notes = [(titles[i], note) for i, run in enumerate(runs) for note in run.result.notes]
     same = {name: value for name, value in flattened(runs[0].result.parameters).items() if name not in differing[0] and
@@ -77,22 +77,22 @@ def _strip(title: str, result: Result) -> Strip:
 
 
 def _events(result: Result) -> list[tuple[float, str, str, str]]:
-    """What happened to the ends of a live run, in order: when (s), at which end, what, and why."""
-    found = []
+    """Events at the ends of a live run, in order: time (s), end, event and cause."""
+    events_found = []
     for end in ("master", "slave"):
-        own = result.extra.get(end)
-        for event in (own.get("events") or ()) if isinstance(own, Mapping) else ():
-            found.append((event["k"] * result.dt, end, event["what"], event["why"]))
-    return sorted(found, key=lambda event: event[0])
+        knobs_of_run = result.extra.get(end)
+        for event in (knobs_of_run.get("events") or ()) if isinstance(knobs_of_run, Mapping) else ():
+            events_found.append((event["k"] * result.dt, end, event["what"], event["why"]))
+    return sorted(events_found, key=lambda event: event[0])
 
 
 def _event_table(events: Sequence[tuple[float, str, str, str]]) -> list[Markup]:
     if not events:
         return []
-    told = [(f"{t:.3f} s", end, what_, why) for t, end, what_, why in events[:MOST_EVENTS]]
+    summary = [(f"{t:.3f} s", end, what_, why) for t, end, what_, why in events[:MOST_EVENTS]]
     if len(events) > MOST_EVENTS:
-        told.append(("", "", "", f"and {len(events) - MOST_EVENTS} more, which events.jsonl of each end has"))
-    return [heading("Events"), table((), told, numbers=False)]
+        summary.append(("", "", "", f"and {len(events) - MOST_EVENTS} more, which events.jsonl of each end has"))
+    return [heading("Events"), table((), summary, numbers=False)]
 
 
 def _units(result: Result) -> dict[str, str]:
@@ -102,54 +102,54 @@ def _units(result: Result) -> dict[str, str]:
 
 
 def _differing(results: Sequence[Result]) -> list[dict[str, str]]:
-    """Of each run the knobs in which not all are alike, with the scene where that differs; the law first."""
-    flat = [{"scene": result.scene, **_told(result), "seed": str(result.seed)} for result in results]
+    """Knobs of each run in which not all are alike, with the scene where that differs; the law first."""
+    flat = [{"scene": result.scene, **_differences(result), "seed": str(result.seed)} for result in results]
     for each in flat:  # by its name, as it is typed: its numbers are its own defaults
         each["playout"] = each.get("playout", "").partition("(")[0].lower()
     if len({each.get("law") for each in flat}) > 1:  # of other laws the parameters are others
         for each in flat:
-            own = {name: each.pop(name) for name in [*each] if name.startswith("law.")}
-            each["law's parameters"] = ", ".join(f"{name[4:]} {value}" for name, value in own.items())
+            knobs_of_run = {name: each.pop(name) for name in [*each] if name.startswith("law.")}
+            each["law's parameters"] = ", ".join(f"{name[4:]} {value}" for name, value in knobs_of_run.items())
     names = list(dict.fromkeys(name for each in flat for name in each))
     names.sort(key=lambda name: (name != "scene", not name.startswith("law")))
-    told: list[dict[str, str]] = [{} for _ in flat]
+    summary: list[dict[str, str]] = [{} for _ in flat]
     for name in names:
         values = [each.get(name, "") for each in flat]
         if len(set(values)) > 1:
-            for one, value in zip(told, values, strict=True):
+            for one, value in zip(summary, values, strict=True):
                 one[name] = value
-    return told
+    return summary
 
 
-def _told(result: Result) -> dict[str, str]:
+def _differences(result: Result) -> dict[str, str]:
     """The knobs of a run, each with its unit."""
     units = _units(result)
     return {name: with_unit(value, units.get(name, "")) for name, value in
             flattened(result.parameters).items()}
 
 
-def _title(run: Run, differing: Mapping[str, str], i: int) -> str:
-    """What stands over the panel of a run: in what it differs, where that is short."""
-    told = ", ".join(value if name in ("law", "scene") else f"{name} {value}" for name, value in differing.items()
+def _title(run: RunView, differing: Mapping[str, str], i: int) -> str:
+    """Title of the panel of a run: the knobs in which it differs, where that is short."""
+    summary = ", ".join(value if name in ("law", "scene") else f"{name} {value}" for name, value in differing.items()
                      if value and not name.startswith("law'"))
-    if not told or len(told) > MOST_TITLE:  # the folder of a page's part is a number
-        told = headed(run.result).rpartition(", law ")[2] if run.name.isdecimal() else run.name
-    return f"{i + 1}: {told}"[:MOST_TITLE]
+    if not summary or len(summary) > MOST_TITLE:  # the folder of a page's part is a number
+        summary = headed(run.result).rpartition(", law ")[2] if run.name.isdecimal() else run.name
+    return f"{i + 1}: {summary}"[:MOST_TITLE]
 
 
-def _compared(runs: Sequence[Run], titles: Sequence[str], differing: Sequence[Mapping[str, str]]) -> Markup:
+def _compared(runs: Sequence[RunView], titles: Sequence[str], differing: Sequence[Mapping[str, str]]) -> Markup:
     """A column a run; of many runs a row each, with the figures that matter most."""
     names = [name for name in COMPARED if any(name in run.result.metrics for run in runs)]
     if len(runs) > COLUMNS:
         few = [name for name in FEW if name in names]
-        return table(["", "status", *[_named(name) for name in few]],
+        return table(["", "status", *[_name_parts(name) for name in few]],
                      [[title, run.result.status, *[_value(run.result, name) for name in few]]
                       for title, run in zip(titles, runs, strict=True)])
     lines = [[name, *[each[name] for each in differing]] for name in differing[0]]
     lines.append(["status", *[run.result.status for run in runs]])
     if any(run.result.status != "ok" or "; " in run.result.sentence for run in runs):  # behind it: what ok leaves open
         lines.append(["outcome", *[run.result.sentence for run in runs]])
-    lines += [[_named(name), *[_value(run.result, name) for run in runs]] for name in names]
+    lines += [[_name_parts(name), *[_value(run.result, name) for run in runs]] for name in names]
     lines += [[f"packets lost {way}", *[str(run.result.packets[way].lost) if way in run.result.packets else "" for run
                                         in runs]] for way in ("fwd", "bwd")
               if any(way in run.result.packets for run in runs)]
@@ -168,7 +168,7 @@ _WORDS = {
 }
 
 
-def _named(name: str) -> str:
+def _name_parts(name: str) -> str:
     return _WORDS[name]
 
 
@@ -179,19 +179,19 @@ def _value(result: Result, name: str) -> str:
     return f"{100.0 * value:.3g} %" if unit == "1" else si(value, unit)
 
 
-def _commands(runs: Sequence[Run], titles: Sequence[str]) -> list[Markup]:
+def _commands(runs: Sequence[RunView], titles: Sequence[str]) -> list[Markup]:
     """The command of each run, and the versions, once where all have the same."""
     versions = [run.document.get("versions") for run in runs]
     if all(one == versions[0] for one in versions):
-        told = [facts(_command_rows(runs, titles))]
-        return [heading("Made by"), *told, *made_by({"versions": versions[0]})[1:]]
+        summary = [facts(_command_rows(runs, titles))]
+        return [heading("Made by"), *summary, *made_by({"versions": versions[0]})[1:]]
     every: list[Markup] = []
     for title, run in zip(titles, runs, strict=True):
         every += [element("p", {"class": "sub"}, title), *made_by(run.document)[1:]]
     return [heading("Made by"), *every]
 
 
-def _command_rows(runs: Sequence[Run], titles: Sequence[str]) -> Iterator[tuple[str, str]]:
+def _command_rows(runs: Sequence[RunView], titles: Sequence[str]) -> Iterator[tuple[str, str]]:
     from shlex import join
 
     for title, run in zip(titles, runs, strict=True):
@@ -200,8 +200,9 @@ def _command_rows(runs: Sequence[Run], titles: Sequence[str]) -> Iterator[tuple[
             yield title, element("code", None, join(map(str, command)))
 
 
-def of_parts(name: str, runs: Sequence[Run], begun: Sequence[tuple[int, str]], document: Mapping[str, Any], shown: int
-             ) -> Section:
+def of_parts(
+    name: str, runs: Sequence[RunView], begun: Sequence[tuple[int, str]], document: Mapping[str, Any], shown: int
+) -> Section:
     """The parts of a page called `name` that was turned while it ran, in order; each with its first tick and why."""
     if len(runs) == 1:
         return replace(of_one(runs[0]), title=f"{headed(runs[0].result)}, on the page", under=f"folder {name}")
@@ -214,7 +215,8 @@ def of_parts(name: str, runs: Sequence[Run], begun: Sequence[tuple[int, str]], d
               headed(run.result).rpartition(", law ")[2], knobs[i], run.result.status,
               *[_value(run.result, metric) for metric in few]]
              for i, (run, (k, why)) in enumerate(zip(runs, begun, strict=True))]
-    head = ["part", "began by", "at", "for", "law", "knobs", "status", *[_named(metric) for metric in few]]
-    told = table(head, lines, numbers=False)
-    section = of_several(runs, f"{document['scene']}, {len(runs)} parts on the page", f"folder {name}", [told], shown)
+    head = ["part", "began by", "at", "for", "law", "knobs", "status", *[_name_parts(metric) for metric in few]]
+    summary = table(head, lines, numbers=False)
+    section = of_several(runs, f"{document['scene']}, {len(runs)} parts on the page", f"folder {name}", [summary],
+                         shown)
     return replace(section, sentence=f"{len(runs)} parts: " + section.sentence.partition(": ")[2])

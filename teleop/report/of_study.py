@@ -1,4 +1,4 @@
-"""What is said of the folder of a study: of precision, tune, advise, stability, passivity, zwidth, reproduce, replay.
+"""Report of the folder of a study: precision, tune, advise, stability, passivity, zwidth, reproduce, replay.
 
 Such a folder has a summary.json; whatever it holds in numbers and texts is shown as it is called there, with its units.
 """
@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.report.markup import LINES, Markup, element, pairs, table
-from teleop.report.page import Section, Told, cell, heading, made_by, parameters, said, with_unit
-from teleop.report.scatter import Group, Plane, Point, scatter
+from teleop.report.page import FolderReport, Section, cell, heading, made_by, parameters, sentence_of, with_unit
+from teleop.report.scatter import Mark, Plane, Series, scatter
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
 from teleop.storage.strict_json import Misshapen, parse
@@ -33,7 +33,7 @@ _SHAPE = stored.record(
      "notes": stored.list_of(stored.text)})
 
 
-class Block(NamedTuple):
+class StudyBlock(NamedTuple):
     """A table of the summary: its heading, its columns' names (none: facts), its rows."""
 
     title: str
@@ -42,7 +42,7 @@ class Block(NamedTuple):
 
 
 def is_study(folder: Path) -> bool:
-    """Does the folder hold a summary that names such a study? Nothing is said of one that is cut short: see `study`."""
+    """True if the folder holds a summary that names such a study; also of one that is cut short, see `study`."""
     return (folder / SUMMARY).is_file() and not (folder / "trace.npz").exists() and _mode(folder) in MODES
 
 
@@ -53,7 +53,7 @@ def _mode(folder: Path) -> object:
         return None
 
 
-def study_told(folder: Path, args: Namespace) -> Told:
+def study_report(folder: Path, args: Namespace) -> FolderReport:
     """A study. Raises `Refused`."""
     try:
         document: dict[str, Any] = parse(read_bytes(folder / SUMMARY, links=False))
@@ -61,40 +61,40 @@ def study_told(folder: Path, args: Namespace) -> Told:
     except (OSError, Misshapen) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise Refused(f"{folder} holds no complete study ({why}); type the command that wrote it again") from error
-    asked = [name for name, value in (("--plot", args.plot or args.format), ("--picture", args.picture),
+    modes = [name for name, value in (("--plot", args.plot or args.format), ("--picture", args.picture),
                                       ("--metric", args.metric), ("--rows", args.rows)) if value]
-    if asked:
-        raise Refused(f"{folder} holds what teleop {document['mode']} found, which has no {asked[0]} here; leave it "
+    if modes:
+        raise Refused(f"{folder} holds what teleop {document['mode']} found, which has no {modes[0]} here; leave it "
                       f"out, or type teleop {document['mode']} with --plot again")
-    told = blocks_of(document)
+    texts = blocks_of(document)
     text = [facts([(document["mode"], str(document.get("scene") or "")), ("status", f"{document['status']}: "
                                                                          f"{document['sentence']}")])]
-    for block in told:
+    for block in texts:
         text.append(columns([block.head, *block.rows], left=(0,)) if block.head else facts(
             [(row[0], row[1]) for row in block.rows]))
-    return Told(folder, Answer("\n\n".join(text), {**document, "path": str(folder)}),
-                section=lambda: _section(folder.resolve().name, document, told))
+    return FolderReport(folder, Answer("\n\n".join(text), {**document, "path": str(folder)}),
+                section=lambda: _section(folder.resolve().name, document, texts))
 
 
-def blocks_of(document: Mapping[str, Any]) -> list[Block]:
+def blocks_of(document: Mapping[str, Any]) -> list[StudyBlock]:
     """The numbers and texts of a document as tables: one of all that stand alone, and one for each list of objects."""
     units = document.get("units") or {}
     alone: list[tuple[str, ...]] = []
-    found: list[Block] = []
+    documents: list[StudyBlock] = []
     for name, value in document.items():
         if name in HEAD:
             continue
         if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
-            found += _tables(name, [_shortened(each) for each in value], units)
+            documents += _tables(name, [_shortened(each) for each in value], units)
         elif isinstance(value, dict):
             alone += [(path, with_unit(each, units.get(path, units.get(key, ""))))
-                      for key, each in value.items() if _plain(each) for path in [f"{name}.{key}"]]
-            found += [block for key, each in value.items() if isinstance(each, list) and each and
+                      for key, each in value.items() if _plain_values(each) for path in [f"{name}.{key}"]]
+            documents += [block for key, each in value.items() if isinstance(each, list) and each and
                       all(isinstance(one, dict) for one in each) for block in _tables(f"{name}.{key}", each, units)]
-        elif _plain(value):
+        elif _plain_values(value):
             alone.append((name, with_unit(value, units.get(name, ""))))
     notes = [("note", note) for note in document.get("notes") or ()]
-    return [*([Block("Results", (), [*alone, *notes])] if alone or notes else []), *found]
+    return [*([StudyBlock("Results", (), [*alone, *notes])] if alone or notes else []), *documents]
 
 
 def _shortened(entry: Mapping[str, Any]) -> dict[str, Any]:
@@ -107,33 +107,34 @@ def _shortened(entry: Mapping[str, Any]) -> dict[str, Any]:
         key: entry.get(key) for key in ("status", "missed_contacts", "beaten_by")}}
 
 
-def _plain(value: object) -> bool:
+def _plain_values(value: object) -> bool:
     """Can it stand in one cell?"""
     if isinstance(value, list):
         return 0 < len(value) <= 8 and all(isinstance(each, str | int | float) for each in value)
     return value is not None and not isinstance(value, dict) and value != ""
 
 
-def _tables(name: str, entries: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> list[Block]:
-    """One of the objects' plain values; of lists of objects in each of them one more."""
+def _tables(name: str, entries: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> list[StudyBlock]:
+    """Plain values of an object; of lists of objects in it a table each."""
     names = [key for key in dict.fromkeys(key for each in entries for key in each)
-             if any(_plain(each.get(key)) for each in entries)]
-    short = [key for key in names if all(len(said(each.get(key, ""))) <= WIDE for each in entries)][:COLUMNS]
-    found = []
+             if any(_plain_values(each.get(key)) for each in entries)]
+    short = [key for key in names if all(len(sentence_of(each.get(key, ""))) <= WIDE for each in entries)][:COLUMNS]
+    documents = []
     if short:
         head = tuple(f"{key} ({units[key]})" if units.get(key, "1") != "1" else key for key in short)
-        rows = [tuple(printable(cell(each[key])) if _plain(each.get(key)) else "" for key in short)
+        rows = [tuple(printable(cell(each[key])) if _plain_values(each.get(key)) else "" for key in short)
                 for each in entries[:ROWS]]
-        more = f", the first {ROWS} of {len(entries)}" if len(entries) > ROWS else ""
-        found.append(Block(f"{name.replace('_', ' ').capitalize()}{more}", head, rows))
+        nested = f", the first {ROWS} of {len(entries)}" if len(entries) > ROWS else ""
+        documents.append(StudyBlock(f"{name.replace('_', ' ').capitalize()}{nested}", head, rows))
     for each in entries[:ROWS]:
         for key, inner in each.items():
-            if isinstance(inner, list) and inner and all(isinstance(one, dict) for one in inner) and len(found) < ROWS:
-                found += _tables(f"{each.get('name', name)} {key}", inner, units)
-    return found
+            tables = isinstance(inner, list) and inner and all(isinstance(one, dict) for one in inner)
+            if tables and len(documents) < ROWS:
+                documents += _tables(f"{each.get('name', name)} {key}", inner, units)
+    return documents
 
 
-def _section(name: str, document: Mapping[str, Any], told: Sequence[Block]) -> Section:
+def _section(name: str, document: Mapping[str, Any], texts: Sequence[StudyBlock]) -> Section:
     mode = str(document["mode"])
     figures: list[Markup] = []
     if mode in FIGURES:
@@ -142,7 +143,7 @@ def _section(name: str, document: Mapping[str, Any], told: Sequence[Block]) -> S
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError):  # numbers that others wrote
             figures = [element("p", {"class": "sub"}, "No figure: the numbers for it are not there.")]
     parts: list[Markup] = []
-    for block in told:
+    for block in texts:
         short = [(row[0], row[1]) for row in block.rows if not block.head and len(row[1]) <= LONG]
         rows = block.rows if block.head else [row for row in block.rows if len(row[1]) > LONG]
         parts += [heading(block.title), *[pairs(short)] * bool(short),
@@ -164,12 +165,12 @@ def _precision(document: Mapping[str, Any]) -> list[Markup]:
                                ("f_env", "largest error of the force on the environment", "N")):
         groups = []
         for i, kind in enumerate(kinds):
-            points = [Point(float(one["ns_per_tick"]) * 1e-3, float(one["errors"][series]["max"] or 0.0),
+            points = [Mark(float(one["ns_per_tick"]) * 1e-3, float(one["errors"][series]["max"] or 0.0),
                             str(one["name"]), kind in ("exact", "default"))
                       for one in methods if one["method"] == kind and one["status"] != "diverged"
                       and one["errors"].get(series, {}).get("max")]
             dash = ("", " y", " z")[i // len(LINES) % 3]
-            groups.append(Group(kind, f"{LINES[i % len(LINES)]}{dash}", sorted(points), lines=True))
+            groups.append(Series(kind, f"{LINES[i % len(LINES)]}{dash}", sorted(points), lines=True))
         planes.append(Plane("run time (us a tick)", f"{what} ({units.get(series, unit)})", groups))
     return scatter("Error over run time", planes)
 
@@ -181,20 +182,20 @@ def _tune(document: Mapping[str, Any]) -> list[Markup]:
     for one in document["front"]:
         drag = (one["figures"].get("free") or one["figures"]["scene"])["f_m_max"]
         taken = all(one.get(name) == value for name, value in best.items())
-        points.append(Point(float(drag), 1e3 * float(one["figures"]["scene"]["x_err_rms"]),
+        points.append(Mark(float(drag), 1e3 * float(one["figures"]["scene"]["x_err_rms"]),
                             "taken" if taken else "", taken))
     points.sort()
     return scatter("The front of tracking error against drag", [Plane(
-        "greatest force in free space (N)", "tracking error, rms (mm)", [Group("", "m", points, lines=True)])])
+        "greatest force in free space (N)", "tracking error, rms (mm)", [Series("", "m", points, lines=True)])])
 
 
 def _zwidth(document: Mapping[str, Any]) -> list[Markup]:
     """The greatest and the least impedance that can be rendered, over frequency."""
-    found = document["impedance"]
+    documents = document["impedance"]
     groups = []
     for key, name, style in (("upper", "greatest", "m"), ("lower", "least", "s")):
-        some = [*zip(found["frequency"], found[key], strict=True)][::6]
-        groups.append(Group(name, style, [Point(float(f), float(z), "") for f, z in some if z is not None], True))
+        some = [*zip(documents["frequency"], documents[key], strict=True)][::6]
+        groups.append(Series(name, style, [Mark(float(f), float(z), "") for f, z in some if z is not None], True))
     return scatter("Impedance that can be rendered", [Plane("frequency (Hz)", "impedance (N s/m)", groups)])
 
 

@@ -1,4 +1,4 @@
-"""What a page says of a sweep: how the rows ended, a map or curves over its knobs, and the first rows."""
+"""Report of a sweep: how the rows ended, a map or curves over its knobs, and the first rows."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.errors import Refused, number_of
 from teleop.report import svg
 from teleop.report.markup import LEVELS, LINES, OTHER, STATUS, Markup, element, facts, joined, table
-from teleop.report.page import Section, Told, cell, heading, made_by, parameters
-from teleop.report.scales import Axis, along, around, axis_of, plain
+from teleop.report.page import FolderReport, Section, cell, heading, made_by, parameters
+from teleop.report.scales import PlotAxis, along, around, axis_of, plain_number
 from teleop.sweeps.pictures.layout import (
     PlottedKnob,
     axes_knobs_of,
@@ -46,31 +46,32 @@ ROWS = 12  # that the page shows
 SENTENCES = 5
 
 
-def sweep_told(folder: Path, args: Namespace, formats: Sequence[str]) -> Told:
+def sweep_report(folder: Path, args: Namespace, formats: Sequence[str]) -> FolderReport:
     """A sweep, drawn in `formats`. Raises `Refused`."""
     request = PictureRequest(args.picture, args.metric)
-    told, text, rows = told_of(folder, args.rows)
-    answer = Answer(text, told)
+    document, text, rows = told_of(folder, args.rows)
+    answer = Answer(text, document)
     if formats:
-        answer = answer.with_plots(folder, picture(rows, folder, told, request, formats, trust=args.trust))
-    return Told(folder, answer, running=is_growing(folder), section=lambda: sweep_section(
-        folder.resolve().name, told, rows, request, trust=args.trust, shown=args.rows or ROWS))
+        answer = answer.with_plots(folder, picture(rows, folder, document, request, formats, trust=args.trust))
+    return FolderReport(folder, answer, running=is_growing(folder), section=lambda: sweep_section(
+        folder.resolve().name, document, rows, request, trust=args.trust, shown=args.rows or ROWS))
 
 
-def sweep_section(name: str, told: Mapping[str, Any], rows: Table, request: PictureRequest, *, trust: bool, shown: int
-                  ) -> Section:
+def sweep_section(
+    name: str, document: Mapping[str, Any], rows: Table, request: PictureRequest, *, trust: bool, shown: int
+) -> Section:
     """The section of a sweep called `name`."""
-    fixed = told.get("fixed")
+    fixed = document.get("fixed")
     reasons = [(f"{count} refused", sentence) for sentence, count in [*sentences(rows).items()][:SENTENCES]]
-    title = f"{Path(str(told['scene'])).stem}: sweep of {', '.join(rows.knobs) or 'seeds'}"
-    blocks = [*_figures(told, rows, request, trust), *_axes(rows), *([heading("Refused"), facts(reasons)] if reasons
+    title = f"{Path(str(document['scene'])).stem}: sweep of {', '.join(rows.knobs) or 'seeds'}"
+    blocks = [*_figures(document, rows, request, trust), *_axes(rows), *([heading("Refused"), facts(reasons)] if reasons
               else []), *_rows(rows, shown), *(parameters(fixed, title="Set for all rows") if isinstance(fixed, dict)
-                                               else []), *made_by(told)]
-    return Section(title=title, under=f"folder {name}", sentence=str(told["sentence"]), blocks=blocks)
+                                               else []), *made_by(document)]
+    return Section(title=title, under=f"folder {name}", sentence=str(document["sentence"]), blocks=blocks)
 
 
 def _axes(rows: Table) -> list[Markup]:
-    """What each knob goes through."""
+    """Values of each knob."""
     knobs, _ = varying(rows, {}) if len(rows) else ([], [])
     lines = []
     for knob in knobs:
@@ -89,22 +90,22 @@ def _rows(rows: Table, shown: int) -> list[Markup]:
         lines.append([cell(row[name]) if name in row else "" for name in names])
     if not lines:
         return []
-    more = f"The first {len(lines)} of {len(rows)} rows" if len(lines) < len(rows) else "Rows"
-    return [heading(more), table(names, lines)]
+    remaining = f"The first {len(lines)} of {len(rows)} rows" if len(lines) < len(rows) else "Rows"
+    return [heading(remaining), table(names, lines)]
 
 
-def _figures(told: Mapping[str, Any], rows: Table, request: PictureRequest, trust: bool) -> list[Markup]:
+def _figures(document: Mapping[str, Any], rows: Table, request: PictureRequest, trust: bool) -> list[Markup]:
     """The picture that `--plot` draws, as far as one can be drawn; else why not."""
     try:
-        return _figure(told, rows, request, trust) if len(rows) else []
+        return _figure(document, rows, request, trust) if len(rows) else []
     except Refused as refused:
         if any(request):
             raise
         return [element("p", {"class": "sub"}, f"No figure: {refused}")]
 
 
-def _figure(told: Mapping[str, Any], rows: Table, request: PictureRequest, trust: bool) -> list[Markup]:
-    units = knob_units(told, rows, trust=trust)
+def _figure(document: Mapping[str, Any], rows: Table, request: PictureRequest, trust: bool) -> list[Markup]:
+    units = knob_units(document, rows, trust=trust)
     knobs, notes = varying(rows, units)
     numeric = [knob.name for knob in knobs if knob.numeric]
     kind, metric = request
@@ -120,9 +121,10 @@ def _figure(told: Mapping[str, Any], rows: Table, request: PictureRequest, trust
     if kind == "curves":
         drawn, left = curves(rows, panels, shown, str(metric), measured)
     else:
-        drawn, left = maps(rows, panels, shown, metric if kind == "metric" else None, words_of(told, units), measured)
-    said_ = [*notes, note, left]
-    below = "; ".join(part for part in said_ if part)
+        drawn, left = maps(rows, panels, shown, metric if kind == "metric" else None, words_of(document, units),
+                           measured)
+    remarks = [*notes, note, left]
+    below = "; ".join(part for part in remarks if part)
     return [drawn, *[element("p", {"class": "sub"}, f"Shown: {below}.")] * bool(below)]
 
 
@@ -148,12 +150,12 @@ def maps(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], met
     import numpy as np
 
     x, y = knobs
-    found = [map_points(rows, panel.rows, x, y, metric) for panel in panels]
-    by_status = metric is None and all((one.status != "").all() for one in found)
-    values = np.concatenate([one.value for one in found])
+    samples = [map_points(rows, panel.rows, x, y, metric) for panel in panels]
+    by_status = metric is None and all((one.status != "").all() for one in samples)
+    values = np.concatenate([one.value for one in samples])
     values = values[np.isfinite(values)]
     scaled = spacing(values) if metric is not None and len(values) else ("linear", 0.0)
-    span = Axis(0.0, 1.0) if metric is None else along(
+    span = PlotAxis(0.0, 1.0) if metric is None else along(
         [float(values.min()), float(values.max())] if len(values) else [0.0, 1.0], *scaled)
     across, up = _places(x), _places(y)
     height = 250.0 if len(panels) == 1 else 150.0
@@ -164,10 +166,10 @@ def maps(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], met
     parts: list[Markup] = []
     names: dict[str, _Area] = {}
     cells = len(x.values) * len(y.values)
-    sampled = all(len(one.x) <= 2 * max(len(x.values), len(y.values)) < cells for one in found)
-    for i, (box, panel, one) in enumerate(zip(boxes, panels, found, strict=True)):
+    sampled = all(len(one.x) <= 2 * max(len(x.values), len(y.values)) < cells for one in samples)
+    for i, (box, panel, one) in enumerate(zip(boxes, panels, samples, strict=True)):
         ended = float((rows["status"][panel.rows] == "ok").mean())
-        title = f"{plain(panel.title)}: {100.0 * ended:.3g} % ok".removeprefix(": ")
+        title = f"{plain_number(panel.title)}: {100.0 * ended:.3g} % ok".removeprefix(": ")
         styles = _styles(one, by_status, span, words, names)
         low = i + columns >= len(panels)
         inside = [_sample(styles, one, x, y, box)] if sampled else [
@@ -205,20 +207,20 @@ def _places(knob: PlottedKnob) -> dict[int, tuple[float, float]]:
     return {place: (edges[i], edges[i + 1]) for i, place in enumerate(shown)}
 
 
-def _styles(one: MapPoints, by_status: bool, span: Axis, words: Mapping[str, str], names: dict[str, _Area]
+def _styles(one: MapPoints, by_status: bool, span: PlotAxis, words: Mapping[str, str], names: dict[str, _Area]
             ) -> list[str]:
     """The class of each point; `names` is given the kinds of the legend."""
-    told = []
+    styles = []
     for status, share, value in zip(one.status.tolist(), one.share.tolist(), one.value.tolist(), strict=True):
         word = str(status) if by_status else "" if not isnan(value) else "refused" if isnan(share) else \
             "none ended ok" if share == 0.0 else "no such metric"
         if word:
             style = STATUS.get(word, OTHER)
             names.setdefault(word, _Area(style, words.get(word, word)))
-            told.append(style)
+            styles.append(style)
         else:
-            told.append(f"a{min(LEVELS - 1, max(0, int(span.at(value) * LEVELS)))}")
-    return told
+            styles.append(f"a{min(LEVELS - 1, max(0, int(span.at(value) * LEVELS)))}")
+    return styles
 
 
 def _sample(styles: Sequence[str], one: MapPoints, x: PlottedKnob, y: PlottedKnob, box: svg.Box) -> Markup:
@@ -250,20 +252,20 @@ def _edges(one: MapPoints, across: Mapping[int, tuple[float, float]], up: Mappin
     good = {(int(x), int(y)): share >= 0.5 for x, y, share in zip(one.x, one.y, one.share.tolist(), strict=True)
             if not isnan(share)}
     xs, ys = [*across], [*up]
-    found = []
+    samples = []
     for i, x in enumerate(xs):
         for j, y in enumerate(ys):
             if (x, y) not in good:
                 continue
             right, above = (xs[i + 1], y) if i + 1 < len(xs) else None, (x, ys[j + 1]) if j + 1 < len(ys) else None
             if right in good and good[right] != good[x, y]:
-                found.append((across[x][1], up[y][0], across[x][1], up[y][1]))
+                samples.append((across[x][1], up[y][0], across[x][1], up[y][1]))
             if above in good and good[above] != good[x, y]:
-                found.append((across[x][0], up[y][1], across[x][1], up[y][1]))
-    return found
+                samples.append((across[x][0], up[y][1], across[x][1], up[y][1]))
+    return samples
 
 
-def _bar(span: Axis, what: str, y: float) -> Markup:
+def _bar(span: PlotAxis, what: str, y: float) -> Markup:
     """The colours of a map of numbers, from the least to the greatest."""
     box = svg.Box(svg.LEFT, y - 8.0, 260.0, 9.0)
     cells = [svg.cells([(i / LEVELS, (i + 1) / LEVELS, 0.0, 1.0)], box, f"a{i}") for i in range(LEVELS)]
@@ -285,32 +287,33 @@ def curves(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], m
 
     x, by = knobs[0], knobs[1] if len(knobs) > 1 else None
     shown = [0] if by is None else spread(len(by.values), CURVES)
-    told: list[list[tuple[str, str, list[float], Any, list[int]]]] = []
+    drawn_lines: list[list[tuple[str, str, list[float], Any, list[int]]]] = []
     for panel in panels:
-        told.append([])
+        drawn_lines.append([])
         for i, place in enumerate(shown):
-            own = panel.rows if by is None else panel.rows[by.place[panel.rows] == place]
-            if not len(own):
+            knob_values = panel.rows if by is None else panel.rows[by.place[panel.rows] == place]
+            if not len(knob_values):
                 continue
-            ok = rows["status"][own] == "ok"
-            groups = groups_of(rows[metric][own], x.place[own], ok, len(x.values))
+            ok = rows["status"][knob_values] == "ok"
+            groups = groups_of(rows[metric][knob_values], x.place[knob_values], ok, len(x.values))
             three = np.array([np.quantile(each, (0.25, 0.5, 0.75)) if len(each) else [np.nan] * 3 for each in groups])
             at = [float(value) for value in x.values] if x.numeric else [float(j) for j in range(len(x.values))]
             name = "" if by is None else f"{by.name} {text_of(by.values[place])}"
-            told[-1].append((LINES[i % len(LINES)], name, at, three, sorted({*x.place[own][~ok].tolist()})))
-    every = np.concatenate([three.ravel() for lines in told for *_, three, _ in lines] or [np.array([])])
+            drawn_lines[-1].append((LINES[i % len(LINES)], name, at, three, sorted({*x.place[knob_values][~ok].tolist()})))
+    every = np.concatenate([three.ravel() for lines in drawn_lines for *_, three, _ in lines] or [np.array([])])
     every = every[np.isfinite(every) & (np.abs(every) < 1e30)]
     kind, bend = spacing(every) if len(every) else ("linear", 0.0)
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 1.0)
     y = around(low, high) if kind == "linear" or not high > low else along([low, high], kind, bend)
-    axis = axis_of(x) if x.numeric else Axis(-0.5, len(x.values) - 0.5)
+    axis = axis_of(x) if x.numeric else PlotAxis(-0.5, len(x.values) - 0.5)
     texts = None if x.numeric else [text_of(value)[:16] for value in x.values]
     boxes, total = svg.grid_of(len(panels), 3, 180.0, top=2.0 * svg.TITLE + 12.0, apart=svg.TITLE + 8.0, below=32.0)
     parts = [svg.label(12.0, 11.0, measured, style="b"),
-             svg.legend([*dict.fromkeys((f"l {style}", name) for lines in told for style, name, *_ in lines if name)],
+             svg.legend([*dict.fromkeys((f"l {style}", name) for lines in drawn_lines
+                                          for style, name, *_ in lines if name)],
                         svg.WIDTH - svg.RIGHT, 11.0)]
-    for i, (box, panel, lines) in enumerate(zip(boxes, panels, told, strict=True)):
-        parts.append(svg.frame(box, axis, y, title=plain(panel.title), x_texts=texts, y_labels=i % 3 == 0,
+    for i, (box, panel, lines) in enumerate(zip(boxes, panels, drawn_lines, strict=True)):
+        parts.append(svg.frame(box, axis, y, title=plain_number(panel.title), x_texts=texts, y_labels=i % 3 == 0,
                                x_labels=i + 3 >= len(panels)))
         for style, name, at, three, bad in lines:
             points = [(axis.at(a), *[y.at(float(v)) for v in row]) for a, row in zip(at, three, strict=True)
@@ -325,7 +328,7 @@ def curves(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], m
                           style, 2.4)]
             parts.append(svg.crosses([(axis.at(at[place]), 0.03) for place in bad], box))
     below = f"{x.name} ({x.unit})" if x.unit else x.name
-    crossed = "; a cross: not every run ended ok" if any(bad for lines in told for *_, bad in lines) else ""
+    crossed = "; a cross: not every run ended ok" if any(bad for lines in drawn_lines for *_, bad in lines) else ""
     parts.append(svg.label(svg.WIDTH - svg.RIGHT, total - 5.0, below + crossed, anchor="end"))
     left = f"{len(shown)} of {len(by.values)} values of {by.name}" if by is not None and len(shown) < len(by.values) \
         else ""

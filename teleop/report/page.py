@@ -20,7 +20,7 @@ POLICY = f"default-src 'none'; style-src 'sha256-{DIGEST}'; base-uri 'none'; for
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """What is said of one folder, or of several side by side."""
+    """Section of a page on one folder, or on several side by side."""
 
     title: str
     under: str = ""  # where it is from, in a line below the title
@@ -33,7 +33,7 @@ def page(sections: Sequence[Section]) -> bytes:
     """The page of these sections, at least one, as UTF-8."""
     title = sections[0].title if len(sections) == 1 else f"{len(sections)} reports"
     top = [element("h1", None, title)] if len(sections) > 1 else []
-    body = [*top, *[_told(each, "h2" if top else "h1") for each in sections],
+    body = [*top, *[_rows_of(each, "h2" if top else "h1") for each in sections],
             element("footer", None, f"Made by teleop report, bilateral-teleop {__version__}.")]
     head = element(
         "head", None, empty("meta", {"charset": "utf-8"}),
@@ -44,7 +44,7 @@ def page(sections: Sequence[Section]) -> bytes:
     return f"<!DOCTYPE html>\n{element('html', {'lang': 'en'}, head, element('body', None, *body))}\n".encode()
 
 
-def _told(section: Section, heading: str) -> Markup:
+def _rows_of(section: Section, heading: str) -> Markup:
     parts = [element(heading, None, section.title)]
     if section.under:
         parts.append(element("p", {"class": "sub"}, section.under))
@@ -82,7 +82,7 @@ def with_unit(value: object, unit: str) -> str:
     ('0.05 s', 'none', 'wave')
     """
     number = isinstance(value, int | float) and not isinstance(value, bool) and unit not in ("", "1")
-    return f"{said(value)} {unit}" if number else said(value)
+    return f"{sentence_of(value)} {unit}" if number else sentence_of(value)
 
 
 def cell(value: object) -> str:
@@ -92,30 +92,30 @@ def cell(value: object) -> str:
     ('0.001235', '12346', 'ok')
     """
     if not isinstance(value, float):
-        return said(value)
+        return sentence_of(value)
     return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
 def flattened(values: Mapping[str, Any]) -> dict[str, Any]:
     """The knobs of a document by name; those of its law as `law.NAME`."""
-    found: dict[str, Any] = {}
+    headers: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
-            found[name] = value.get("name", "")
-            found |= {f"{name}.{key}": each for key, each in value.items() if key != "name"}
+            headers[name] = value.get("name", "")
+            headers |= {f"{name}.{key}": each for key, each in value.items() if key != "name"}
         else:
-            found[name] = value
-    return found
+            headers[name] = value
+    return headers
 
 
-def said(value: object) -> str:
+def sentence_of(value: object) -> str:
     """A value of a document as a person reads it."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, list | tuple):
-        return ", ".join(map(said, value))
+        return ", ".join(map(sentence_of, value))
     return "none" if value is None else str(value)
 
 
@@ -130,7 +130,7 @@ def made_by(document: Mapping[str, Any]) -> list[Markup]:
     return [heading("Made by"), facts(rows)] if rows else []
 
 
-class Told(NamedTuple):
+class FolderReport(NamedTuple):
     """A folder: what the terminal says of it, and either its run or what makes its part of the page."""
 
     folder: Path

@@ -12,7 +12,7 @@ from teleop.terminal.table import PREFIX
 GREATEST = 1e30  # a value beyond is drawn as one that does not exist: nothing that is measured is as large
 
 
-class Axis(NamedTuple):
+class PlotAxis(NamedTuple):
     """From `low` to `high`; `bend` > 0: linear up to there on either side of zero, by decades beyond it."""
 
     low: float
@@ -45,13 +45,13 @@ class Axis(NamedTuple):
         least = self.low if self.log else self.bend
         first, last = ceil(log10(least) - 1e-9), floor(log10(max(abs(self.high), abs(self.low), least)) + 1e-9)
         every = max(1, ceil((last - first + 1) / most))
-        found = [10.0**power for power in range(first, last + 1, every)]
-        if len(found) < 2 and self.log:  # within a decade or two: 2 and 5 too
-            found = [mark * 10.0**power for power in range(first - 1, last + 1) for mark in (1.0, 2.0, 5.0)]
+        steps = [10.0**power for power in range(first, last + 1, every)]
+        if len(steps) < 2 and self.log:  # within a decade or two: 2 and 5 too
+            steps = [mark * 10.0**power for power in range(first - 1, last + 1) for mark in (1.0, 2.0, 5.0)]
         if not self.log:
-            found = [*(-each for each in reversed(found)), 0.0, *found]
+            steps = [*(-each for each in reversed(steps)), 0.0, *steps]
         slack = 1e-9 * (self.high - self.low)
-        return [(each, short(each)) for each in found if self.low - slack <= each <= self.high + slack]
+        return [(each, short(each)) for each in steps if self.low - slack <= each <= self.high + slack]
 
 
 def step_of(span: float, most: int) -> float:
@@ -78,23 +78,23 @@ def short(value: float) -> str:
         "e+0", "e")
 
 
-def around(low: float, high: float) -> Axis:
+def around(low: float, high: float) -> PlotAxis:
     """A linear axis that shows all from `low` to `high` with a little room; where that is one value, around it."""
     if not (isfinite(low) and isfinite(high)) or low > high:
-        return Axis(0.0, 1.0)
+        return PlotAxis(0.0, 1.0)
     span = high - low
     if span <= 1e-9 * max(abs(low), abs(high)):
         span = 2.0 * max(abs(low), 1e-12 if low == 0.0 else 0.0) or 1.0
-        return Axis(low - 0.5 * span, high + 0.5 * span) if low else Axis(-1.0, 1.0)
-    return Axis(low - 0.05 * span, high + 0.05 * span)
+        return PlotAxis(low - 0.5 * span, high + 0.5 * span) if low else PlotAxis(-1.0, 1.0)
+    return PlotAxis(low - 0.05 * span, high + 0.05 * span)
 
 
-def along(values: Sequence[float], log: str = "linear", bend: float = 0.0) -> Axis:
+def along(values: Sequence[float], log: str = "linear", bend: float = 0.0) -> PlotAxis:
     """The axis for values in order, from the first to the last: linear, log, or symlog with its `bend`."""
     low, high = values[0], values[-1]
     if not high > low:
         return around(low, high)
-    return Axis(low, high, log == "log", bend if log == "symlog" else 0.0)
+    return PlotAxis(low, high, log == "log", bend if log == "symlog" else 0.0)
 
 
 def thousands(peak: float) -> int:
@@ -108,11 +108,11 @@ def thousands(peak: float) -> int:
     return max(min(PREFIX), min(floor(log10(peak) / 3.0), max(PREFIX)))
 
 
-def axis_of(knob: PlottedKnob) -> Axis:
+def axis_of(knob: PlottedKnob) -> PlotAxis:
     """The axis of a knob with numbers, spaced as its values are."""
     return along(knob.values, *spaced(knob.values))
 
 
-def plain(title: str) -> str:
+def plain_number(title: str) -> str:
     """A title without what matplotlib would need before a dollar sign."""
     return title.replace(r"\$", "$").replace("\n", ", ")

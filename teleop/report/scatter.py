@@ -10,14 +10,14 @@ from typing import NamedTuple
 from teleop.report import svg
 from teleop.report.markup import Markup, joined
 from teleop.report.page import heading
-from teleop.report.scales import GREATEST, Axis, around
+from teleop.report.scales import GREATEST, PlotAxis, around
 
 LOG_FROM = 50.0  # greatest to least value, from which on an axis goes by decades
 HEIGHT = 250.0
 MOST_DOTS = 60  # on a line: of more the line alone is drawn
 
 
-class Point(NamedTuple):
+class Mark(NamedTuple):
     """A point: its values, its name, and whether that is written beside it."""
 
     x: float
@@ -26,12 +26,12 @@ class Point(NamedTuple):
     written: bool = False
 
 
-class Group(NamedTuple):
+class Series(NamedTuple):
     """Points of one colour; `lines`: joined up in their order."""
 
     name: str
     style: str
-    points: Sequence[Point]
+    points: Sequence[Mark]
     lines: bool = False
 
 
@@ -40,12 +40,12 @@ class Plane(NamedTuple):
 
     x: str
     y: str
-    groups: Sequence[Group]
+    groups: Sequence[Series]
 
 
 def scatter(title: str, planes: Sequence[Plane]) -> list[Markup]:
     """A figure with a panel for each plane that has points."""
-    some = [plane._replace(groups=[group._replace(points=[p for p in group.points if _known(p)])
+    some = [plane._replace(groups=[group._replace(points=[p for p in group.points if _finite(p)])
                                    for group in plane.groups]) for plane in planes]
     some = [plane for plane in some if any(group.points for group in plane.groups)]
     if not some:
@@ -58,7 +58,7 @@ def scatter(title: str, planes: Sequence[Plane]) -> list[Markup]:
         wide = (svg.WIDTH - 2.0 * svg.LEFT - svg.RIGHT) / 2.0
         boxes = [svg.Box(svg.LEFT + i * (wide + svg.LEFT), box.top, wide, box.height) for i, box in enumerate(boxes)]
     parts = [svg.legend(line, svg.WIDTH - svg.RIGHT, 11.0 + 14.0 * i) for i, line in enumerate(lines)]
-    told = []
+    names = []
     for box, plane in zip(boxes, some, strict=True):
         points = [point for group in plane.groups for point in group.points]
         x, y = _axis([p.x for p in points]), _axis([p.y for p in points])
@@ -72,19 +72,19 @@ def scatter(title: str, planes: Sequence[Plane]) -> list[Markup]:
             if not group.lines or len(at) <= MOST_DOTS:
                 parts.append(svg.dots(at, box, group.style))
         parts.append(_names([(x.at(p.x), y.at(p.y), p.name) for p in points if p.written], box))
-        told.append(f"{plane.y} from {min(p.y for p in points):.3g} to {max(p.y for p in points):.3g} over {plane.x} "
+        names.append(f"{plane.y} from {min(p.y for p in points):.3g} to {max(p.y for p in points):.3g} over {plane.x} "
                     f"from {min(p.x for p in points):.3g} to {max(p.x for p in points):.3g}")
-    return [heading(title), svg.figure(title, f"{title}: {'; '.join(told)}.", height, *parts)]
+    return [heading(title), svg.figure(title, f"{title}: {'; '.join(names)}.", height, *parts)]
 
 
-def _known(point: Point) -> bool:
+def _finite(point: Mark) -> bool:
     return all(isfinite(value) and abs(value) <= GREATEST for value in (point.x, point.y))
 
 
-def _axis(values: Sequence[float]) -> Axis:
+def _axis(values: Sequence[float]) -> PlotAxis:
     low, high = min(values), max(values)
     if low > 0.0 and high > LOG_FROM * low:
-        return Axis(low / 1.5, high * 1.5, log=True)
+        return PlotAxis(low / 1.5, high * 1.5, log=True)
     return around(low, high)
 
 
@@ -111,12 +111,12 @@ def _names(points: Sequence[tuple[float, float, str]], box: svg.Box) -> Markup:
         for step in (0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5):
             low = y + 3.5 + 11.0 * step
             place = (left, low - 9.0, left + wide, low)
-            if box.top + 8.0 < low < box.top + box.height and not any(_meet(place, other) for other in taken):
+            if box.top + 8.0 < low < box.top + box.height and not any(_meet(place, second) for second in taken):
                 taken.append(place)
                 parts.append(svg.label(left, low, name))
                 break
     return joined(parts)
 
 
-def _meet(one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+def _meet(one: tuple[float, float, float, float], second: tuple[float, float, float, float]) -> bool:
+    return one[0] < second[2] and second[0] < one[2] and one[1] < second[3] and second[1] < one[3]

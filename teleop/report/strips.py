@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.report import svg
 from teleop.report.markup import Markup, element
-from teleop.report.scales import Axis, around, thousands
+from teleop.report.scales import PlotAxis, around, thousands
 from teleop.report.svg import Line, line_of
 from teleop.scene.axis_labels import AxisLabels
 from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
@@ -66,15 +66,15 @@ def strips(runs: Sequence[Strip], most_rows: int = 12) -> list[Markup]:
     drawn over which most work was done. A sentence names what is left out.
     """
     runs = [run for run in runs if len(run.trace["t"])]
-    found = [panel for panel in PANELS if any(_has(panel, run) for run in runs)]
+    panels_drawn = [panel for panel in PANELS if any(_has(panel, run) for run in runs)]
     apart = len(runs) == 1 and axes_of(runs[0].trace) > TOGETHER
     shown = [most_worked(run.trace, APART if apart else TOGETHER) for run in runs]
-    every = [each for panel in found for each in (
+    every = [each for panel in panels_drawn for each in (
         _of_axes(panel, runs[0], shown[0]) if apart else _of_runs(panel, runs, shown))]
     across = 2 if len(runs) in (2, 4) else 3
     rows = max(1, -(-len(every[0].runs if every else runs) // across))
-    told = dict.fromkeys(left_out(run.trace, axes, run.labels) for run, axes in zip(runs, shown, strict=True))
-    notes = [element("p", {"class": "sub"}, f"{text}.") for text in told if text]
+    legend_names = dict.fromkeys(left_out(run.trace, axes, run.labels) for run, axes in zip(runs, shown, strict=True))
+    notes = [element("p", {"class": "sub"}, f"{text}.") for text in legend_names if text]
     return [*notes, *[_figure(each, across) for each in every[:max(2, most_rows // rows)]]]
 
 
@@ -99,9 +99,9 @@ def _of_axes(panel: TracePanel, run: Strip, shown: Sequence[int]) -> Iterator[Pa
 
 def _along(run: Strip, panel: TracePanel, name: str, i: int) -> Strip:
     """A run along one of its axes, as if it had no other."""
-    own = {curve.name: run.trace[curve.name] for curve in panel.curves if curve.name in run.trace}
+    rows_of = {curve.name: run.trace[curve.name] for curve in panel.curves if curve.name in run.trace}
     return run._replace(title=name, trace={"t": run.trace["t"], **{
-        key: column if column.ndim == 1 else column[:, i] for key, column in own.items()}})
+        key: column if column.ndim == 1 else column[:, i] for key, column in rows_of.items()}})
 
 
 def _has(panel: TracePanel, run: Strip) -> bool:
@@ -112,7 +112,7 @@ def _figure(panels: Panels, across: int) -> Markup:
     panel, runs, shown, apart = panels
     named = len(runs) > 1 or apart
     top = HEAD + (svg.TITLE if named else 2.0)
-    times = [Axis(float(run.trace["t"][0]), float(run.trace["t"][-1]) + run.dt) for run in runs]
+    times = [PlotAxis(float(run.trace["t"][0]), float(run.trace["t"][-1]) + run.dt) for run in runs]
     same = len(set(times)) == 1
     boxes, height = svg.grid_of(len(runs), across, LOW if named else HEIGHT, top=top,
                                 apart=svg.TITLE * named + (4.0 if same else 16.0),
@@ -142,7 +142,7 @@ def _range(curves: Sequence[Drawn]) -> tuple[float, float]:
     return min((a for a, _ in every), default=0.0), max((b for _, b in every), default=0.0)
 
 
-def _curves(panel: TracePanel, run: Strip, shown: Sequence[int], time: Axis, box: Box) -> Iterator[Drawn]:
+def _curves(panel: TracePanel, run: Strip, shown: Sequence[int], time: PlotAxis, box: Box) -> Iterator[Drawn]:
     """The last curve is narrow, and lies over the others, which are wide: where they coincide both are seen."""
     has = [curve for curve in panel.curves if curve.name in run.trace]
     t = run.trace["t"]
@@ -152,7 +152,7 @@ def _curves(panel: TracePanel, run: Strip, shown: Sequence[int], time: Axis, box
         for name, i, values in axis_curves(column := run.trace[curve.name], shown, run.labels):
             line = line_of(t, values, time.low, time.high, max(2, round(box.width)))
             dash = dashes[i] if column.ndim > 1 else ""  # what is of all axes together is of none that is drawn
-            yield Drawn(f"{plain(curve.label)} {name}".rstrip(), f"{STYLE[curve.colour]}{wide}{dash}", line)
+            yield Drawn(f"{plain_number(curve.label)} {name}".rstrip(), f"{STYLE[curve.colour]}{wide}{dash}", line)
 
 
 def _dashes(run: Strip) -> dict[int, str]:
@@ -163,16 +163,16 @@ def _dashes(run: Strip) -> dict[int, str]:
 def _legend(panels: Panels) -> list[tuple[str, str]]:
     panel, runs = panels.panel, panels.runs
     has = [curve for curve in panel.curves if any(curve.name in run.trace for run in runs)]
-    told = [(f"l {STYLE[curve.colour]}{'' if curve is has[-1] else ' w'}", plain(curve.label)) for curve in
-            reversed(has)]
+    legend_names = [(f"l {STYLE[curve.colour]}{'' if curve is has[-1] else ' w'}", plain_number(curve.label))
+                    for curve in reversed(has)]
     several = [(run, shown) for run, shown in zip(runs, panels.shown, strict=True) if any(
         run.trace[curve.name].ndim > 1 for curve in has if curve.name in run.trace)]
     axes = {f"l e{_dashes(run)[i]}": run.labels.names_for(axes_of(run.trace))[i]
             for run, shown in several for i in shown}
-    return [*told, *axes.items()]
+    return [*legend_names, *axes.items()]
 
 
-def plain(label: str) -> str:
+def plain_number(label: str) -> str:
     """The label of a curve without the signs of a formula.
 
     >>> plain("$f_{env}$ on the environment")
@@ -183,10 +183,10 @@ def plain(label: str) -> str:
 
 def _description(panel: TracePanel, runs: Sequence[Strip], drawn: Sequence[Sequence[Drawn]]) -> str:
     """The figure in words, for who does not see it: each curve with its least and its greatest value."""
-    told = []
+    legend_names = []
     for run, curves in zip(runs, drawn, strict=True):
         ranges = [(curve.name, *curve.line.range()) for curve in curves]
         words = "; ".join(f"{name} from {si(low, panel.unit)} to {si(high, panel.unit)}" if low <= high else
                           f"{name} has no value" for name, low, high in ranges)
-        told.append(f"{run.title}: {words or 'it has none'}" if len(runs) > 1 else words)
-    return f"{panel.quantity.capitalize()} over time. {'. '.join(told)}."
+        legend_names.append(f"{run.title}: {words or 'it has none'}" if len(runs) > 1 else words)
+    return f"{panel.quantity.capitalize()} over time. {'. '.join(legend_names)}."

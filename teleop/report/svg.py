@@ -15,7 +15,7 @@ from teleop.report.scales import GREATEST
 from teleop.simulation.trace import blocks
 
 if TYPE_CHECKING:
-    from teleop.report.scales import Axis
+    from teleop.report.scales import PlotAxis
 
 WIDTH = 720  # of a figure
 LEFT, RIGHT, BETWEEN, TOP, BOTTOM = 52, 12, 20, 6, 17  # around and between panels
@@ -25,7 +25,7 @@ ONE = 4  # tenths: a column of pixels whose values differ by no more is drawn as
 
 
 class Box(NamedTuple):
-    """Where a panel lies in its figure."""
+    """Place of a panel in its figure."""
 
     left: float
     top: float
@@ -41,43 +41,43 @@ def figure(title: str, description: str, height: float, *inside: Markup, width: 
         *head, *inside))
 
 
-def label(x: float, y: float, said: str, *, anchor: str | None = None, style: str | None = None, up: bool = False
+def label(x: float, y: float, words: str, *, anchor: str | None = None, style: str | None = None, up: bool = False
           ) -> Markup:
     """A text that stands at x, y; `up`: written upwards."""
     turned = f"rotate(-90 {x:g} {y:g})" if up else None
     return element("text", {"x": f"{x:.4g}", "y": f"{y:.4g}", "text-anchor": anchor, "class": style,
-                            "transform": turned}, said)
+                            "transform": turned}, words)
 
 
-def frame(box: Box, x: Axis, y: Axis, *, title: str = "", x_labels: bool = True, y_labels: bool = True,
+def frame(box: Box, x: PlotAxis, y: PlotAxis, *, title: str = "", x_labels: bool = True, y_labels: bool = True,
           x_texts: Sequence[str] | None = None, y_texts: Sequence[str] | None = None) -> Markup:
     """Grid lines and ticks of a panel. `x_texts`, `y_texts`: what stands at 0, 1, 2, ... in place of numbers."""
     lines, labels = [], []
     bottom = box.top + box.height
-    for value, said in ticks_of(x, max(2, int(box.width / 70.0)), x_texts):
+    for value, words in ticks_of(x, max(2, int(box.width / 70.0)), x_texts):
         at = box.left + x.at(value) * box.width
         lines.append(f"M{at:.1f} {box.top:g}v{box.height:g}")
-        labels += [label(at, bottom + 12, said, anchor="middle")] * x_labels
-    for value, said in ticks_of(y, max(2, int(box.height / 24.0)), y_texts):
+        labels += [label(at, bottom + 12, words, anchor="middle")] * x_labels
+    for value, words in ticks_of(y, max(2, int(box.height / 24.0)), y_texts):
         at = bottom - y.at(value) * box.height
         lines.append(f"M{box.left:g} {at:.1f}h{box.width:g}")
-        labels += [label(box.left - 4, at + 3.5, said, anchor="end")] * y_labels
+        labels += [label(box.left - 4, at + 3.5, words, anchor="end")] * y_labels
     head = [label(box.left, box.top - 4, title, style="b")] * bool(title)
     outline = empty("rect", {"x": f"{box.left:g}", "y": f"{box.top:g}", "width": f"{box.width:g}",
                              "height": f"{box.height:g}", "class": "f"})
     return joined([empty("path", {"d": path_data("".join(lines)), "class": "grid"}), outline, *labels, *head])
 
 
-def ticks_of(axis: Axis, most: int, texts: Sequence[str] | None) -> list[tuple[float, str]]:
+def ticks_of(axis: PlotAxis, most: int, texts: Sequence[str] | None) -> list[tuple[float, str]]:
     """The ticks of an axis of numbers; with `texts` those, at 0, 1, 2, ..."""
-    return axis.ticks(most) if texts is None else [(float(i), said) for i, said in enumerate(texts)]
+    return axis.ticks(most) if texts is None else [(float(i), words) for i, words in enumerate(texts)]
 
 
-def curve(line: Line, box: Box, y: Axis, style: str, name: str) -> Markup:
+def curve(line: Line, box: Box, y: PlotAxis, style: str, name: str) -> Markup:
     """A curve in a panel, called `name`: the least and the greatest value of each column of pixels, joined up."""
     scale, foot = 10.0 * box.height, 10.0 * (box.top + box.height)
     wide, left = 10.0 * box.width, 10.0 * box.left
-    told: list[str] = []
+    names: list[str] = []
     before: tuple[int, int] | None = None
     for x, least, greatest in zip(line.x.tolist(), line.least.tolist(), line.greatest.tolist(), strict=True):
         if isnan(least):  # a gap
@@ -87,15 +87,15 @@ def curve(line: Line, box: Box, y: Axis, style: str, name: str) -> Markup:
         low, high = round(foot - scale * y.at(least)), round(foot - scale * y.at(greatest))
         points = [low] if low - high <= ONE else [low, high]
         if before is None:
-            told.append(f"M{at} {points[0]}l")
+            names.append(f"M{at} {points[0]}l")
             before = (at, points.pop(0))
-            told += ["0 0 "] * (not points)  # a point by itself is seen by its round end
+            names += ["0 0 "] * (not points)  # a point by itself is seen by its round end
         elif len(points) > 1 and abs(points[1] - before[1]) < abs(points[0] - before[1]):
             points.reverse()
         for point in points:
-            told.append(f"{at - before[0]} {point - before[1]} ")
+            names.append(f"{at - before[0]} {point - before[1]} ")
             before = (at, point)
-    return element("path", {"d": path_data(_tight("".join(told))), "class": style, "transform": "scale(.1)"},
+    return element("path", {"d": path_data(_tight("".join(names))), "class": style, "transform": "scale(.1)"},
                    element("title", None, name))
 
 
@@ -104,7 +104,7 @@ def _tight(path: str) -> str:
     return path.replace(" -", "-").replace(" M", "M").rstrip()
 
 
-def marks(at: Iterable[tuple[float, str]], box: Box, x: Axis) -> Markup:
+def marks(at: Iterable[tuple[float, str]], box: Box, x: PlotAxis) -> Markup:
     """Dashed lines from top to bottom at places on the x axis, each with a name."""
     down = f"{box.top:g}v{box.height:g}"
     return joined(element("path", {"d": path_data(f"M{box.left + x.at(value) * box.width:.1f} {down}"), "class": "e"},
@@ -128,21 +128,21 @@ def cells(places: Iterable[tuple[float, float, float, float]], box: Box, style: 
     """Cells of one colour, each (left, right, low, high) from 0 to 1 along the axes."""
     wide, high = 10.0 * box.width, 10.0 * box.height
     left, foot = 10.0 * box.left, 10.0 * (box.top + box.height)
-    told = []
+    names = []
     for a, b, low, top in places:
         x, end, y, to = (round(left + wide * a), round(left + wide * b), round(foot - high * top),
                          round(foot - high * low))
-        told.append(f"M{x} {y}h{end - x}v{to - y}h{x - end}z")
-    return empty("path", {"d": path_data("".join(told)), "class": style, "transform": "scale(.1)"})
+        names.append(f"M{x} {y}h{end - x}v{to - y}h{x - end}z")
+    return empty("path", {"d": path_data("".join(names)), "class": style, "transform": "scale(.1)"})
 
 
 def segments(places: Iterable[tuple[float, float, float, float]], box: Box, style: str) -> Markup:
     """Lines, each from (x, y) to (x, y), from 0 to 1 along the axes."""
     foot = box.top + box.height
-    told = "".join(f"M{10 * (box.left + a * box.width):.0f} {10 * (foot - b * box.height):.0f}"
+    names = "".join(f"M{10 * (box.left + a * box.width):.0f} {10 * (foot - b * box.height):.0f}"
                    f"L{10 * (box.left + c * box.width):.0f} {10 * (foot - d * box.height):.0f}"
                    for a, b, c, d in places)
-    return empty("path", {"d": path_data(told), "class": style, "transform": "scale(.1)"})
+    return empty("path", {"d": path_data(names), "class": style, "transform": "scale(.1)"})
 
 
 def dots(points: Iterable[tuple[float, float, str]], box: Box, style: str, radius: float = 3.0) -> Markup:
@@ -166,10 +166,10 @@ def grid_of(count: int, across: int, height: float, *, apart: float = TITLE, bel
 def crosses(points: Iterable[tuple[float, float]], box: Box, size: float = 3.0) -> Markup:
     """Crosses at points from 0 to 1 along the axes."""
     foot = 10.0 * (box.top + box.height)
-    told = "".join(f"M{10 * (box.left + x * box.width - size):.0f} {foot - 10 * (y * box.height + size):.0f}"
+    names = "".join(f"M{10 * (box.left + x * box.width - size):.0f} {foot - 10 * (y * box.height + size):.0f}"
                    f"l{20 * size:.0f} {20 * size:.0f}m{-20 * size:.0f} 0l{20 * size:.0f} {-20 * size:.0f}"
                    for x, y in points)
-    return empty("path", {"d": path_data(told), "class": "cross", "transform": "scale(.1)"}) if told else joined([])
+    return empty("path", {"d": path_data(names), "class": "cross", "transform": "scale(.1)"}) if names else joined([])
 
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ if TYPE_CHECKING:
 
 
 class Line(NamedTuple):
-    """What is drawn of a curve: arrays of shape (points,); where `least` is NaN, there is a gap."""
+    """Points of a curve: arrays of shape (points,); where `least` is NaN, there is a gap."""
 
     x: NDArray[Any]  # from 0 to 1 along the axis
     least: NDArray[Any]
@@ -214,7 +214,7 @@ def line_of(t: NDArray[Any], values: NDArray[Any], low: float, high: float, colu
 
 def _parts(t: NDArray[Any], values: NDArray[Any], low: float, high: float, columns: int
            ) -> Iterator[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]]:
-    """Of each block of rows the columns that it has rows in, where their rows begin, and the values."""
+    """Iterate over blocks of rows: the columns that have rows in them, where their rows begin, and the values."""
     import numpy as np
 
     for block in blocks(len(t)):

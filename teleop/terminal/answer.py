@@ -180,7 +180,7 @@ def _folder(task: Task, out: str | None, name: str) -> AbstractContextManager[Ne
     return new_folder(out, f"{task.stem}-{name}")
 
 
-class Interrupt:
+class DelayedInterrupt:
     """Ctrl-C that waits: `is_pending` from the first one on."""
 
     __slots__ = ("is_pending",)
@@ -193,9 +193,9 @@ class Interrupt:
 
 
 @contextmanager
-def interrupts_wait() -> Iterator[Interrupt]:
+def interrupts_wait() -> Iterator[DelayedInterrupt]:
     """Have Ctrl-C raise nothing until the end; where it is ignored, or already has a handler, that stays."""
-    interrupt = Interrupt()
+    interrupt = DelayedInterrupt()
     replaced = False
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         with suppress(ValueError):  # in a thread, which Ctrl-C does not reach

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from teleop import load_scene, run
-from teleop.report.of_runs import Run, of_one, of_parts, of_several
+from teleop.report.of_runs import RunView, of_one, of_parts, of_several
 from teleop.report.page import page
 from teleop.report.strips import Strip, strips
 from teleop.simulation.result import Result
@@ -25,11 +25,11 @@ def canonical() -> Result:
     return run(load_scene("canonical", duration=4.0))
 
 
-def told(result: Result, **also: Any) -> Run:
-    return Run("here", result, {**result.summary(["teleop", "run", "canonical"]), **also})
+def told(result: Result, **also: Any) -> RunView:
+    return RunView("here", result, {**result.summary(["teleop", "run", "canonical"]), **also})
 
 
-def of(*runs: Run) -> Page:
+def of(*runs: RunView) -> Page:
     return Page(page([of_one(runs[0]) if len(runs) == 1 else of_several(runs)]))
 
 
@@ -144,7 +144,8 @@ class TestOne:
             "slave": {"events": [{"k": 5, "what": HOSTILE, "why": HOSTILE}]}},
             parameters={HOSTILE: HOSTILE, "law": {"name": HOSTILE, HOSTILE: HOSTILE}})
         document = {"command": [HOSTILE], "versions": {HOSTILE: HOSTILE}}
-        shown = Page(page([of_one(Run(HOSTILE, hostile, document)), of_several([Run(HOSTILE, hostile, document)] * 2)]))
+        view = RunView(HOSTILE, hostile, document)
+        shown = Page(page([of_one(view), of_several([view] * 2)]))
         shown.assert_needs_nothing_else()
         assert "\x1b" not in shown.source
         assert "\u202e" not in shown.source

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from teleop import load_scene, run
-from teleop.report.of_runs import Run, of_one, of_several
+from teleop.report.of_runs import RunView, of_one, of_several
 from teleop.report.page import page
 from tests.programs import BROWSERS, program
 
@@ -30,7 +30,7 @@ def printed(html: bytes, at: Path) -> tuple[int, str]:
 @pytest.mark.parametrize("scene", ["hard_wall", "jittery_wan"])
 def test_a_run_is_printed_on_two_sheets_at_most(scene: str, tmp_path: Path) -> None:
     result = run(load_scene(scene, duration=3.0))
-    told = Run("here", result, result.summary(["teleop", "run", scene]))
+    told = RunView("here", result, result.summary(["teleop", "run", scene]))
     sheets, console = printed(page([of_one(told)]), tmp_path)
     assert 1 <= sheets <= 2
     assert console == ""
@@ -39,7 +39,7 @@ def test_a_run_is_printed_on_two_sheets_at_most(scene: str, tmp_path: Path) -> N
 def test_six_runs_are_printed_on_three_sheets_at_most(tmp_path: Path) -> None:
     results = [run(load_scene("hard_wall", duration=2.0, law=law)) for law in ("wave", "direct", "pp", "p_d", "iss",
                                                                               "tdpa")]
-    told = [Run(f"run-{i}", result, result.summary(["teleop", "run"])) for i, result in enumerate(results)]
+    told = [RunView(f"run-{i}", result, result.summary(["teleop", "run"])) for i, result in enumerate(results)]
     sheets, console = printed(page([of_several(told)]), tmp_path)
     assert 1 <= sheets <= 3
     assert console == ""

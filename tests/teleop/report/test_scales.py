@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from teleop.report.scales import Axis, along, around
+from teleop.report.scales import PlotAxis, along, around
 
 SIZES = st.floats(-1e29, 1e29, allow_nan=False)
 
@@ -24,12 +24,12 @@ def test_all_values_lie_on_the_axis_around_them_and_it_has_two_ticks_or_more(low
 
 def test_ticks_are_labelled_by_round_numbers() -> None:
     assert [said for _, said in around(0.0, 0.06).ticks(4)] == ["0", "0.02", "0.04", "0.06"]
-    assert [said for _, said in Axis(-0.5, 1.5).ticks(4)] == ["-0.5", "0", "0.5", "1.0", "1.5"]
-    assert [said for _, said in Axis(20.0, 5e3, log=True).ticks(5)] == ["100", "1000"]
+    assert [said for _, said in PlotAxis(-0.5, 1.5).ticks(4)] == ["-0.5", "0", "0.5", "1.0", "1.5"]
+    assert [said for _, said in PlotAxis(20.0, 5e3, log=True).ticks(5)] == ["100", "1000"]
 
 
 def test_within_a_decade_a_log_axis_has_ticks_between() -> None:
-    assert [said for _, said in Axis(1.5, 8.0, log=True).ticks(5)] == ["2", "5"]
+    assert [said for _, said in PlotAxis(1.5, 8.0, log=True).ticks(5)] == ["2", "5"]
 
 
 def test_an_axis_that_bends_has_its_zero_and_its_decades() -> None:
@@ -39,5 +39,5 @@ def test_an_axis_that_bends_has_its_zero_and_its_decades() -> None:
 
 
 def test_what_has_no_values_has_an_axis_all_the_same() -> None:
-    assert around(float("inf"), float("-inf")) == Axis(0.0, 1.0)
+    assert around(float("inf"), float("-inf")) == PlotAxis(0.0, 1.0)
     assert around(0.0, 0.0).at(0.0) == 0.5
