@@ -30,12 +30,12 @@ def axis_names(names: tuple[str, ...], axes: int) -> tuple[str, ...]:
 
 def check_names(names: tuple[str, ...], units: tuple[str, ...], axes: int) -> None:
     """Refuse names and units that are not one for each axis, names that are none or twice there, and other units."""
-    for what, given, example in (("names", names, '("shoulder", "elbow")'), ("units", units, '("rad", "rad")')):
-        if not isinstance(given, tuple) or not all(isinstance(each, str) for each in given):
-            raise Refused(f"{what} must be a tuple of texts, one for each axis, not {given!r}; write for example "
+    for what, texts, example in (("names", names, '("shoulder", "elbow")'), ("units", units, '("rad", "rad")')):
+        if not isinstance(texts, tuple) or not all(isinstance(each, str) for each in texts):
+            raise Refused(f"{what} must be a tuple of texts, one for each axis, not {texts!r}; write for example "
                           f"{what}={example}")
-        if given and len(given) != axes:
-            raise Refused(f"{what} has {number_of(len(given), 'entry', 'entries')}, the scene has "
+        if texts and len(texts) != axes:
+            raise Refused(f"{what} has {number_of(len(texts), 'entry', 'entries')}, the scene has "
                           f"{number_of(axes, 'axis', 'axes')}; write one for each axis, or leave {what} out")
     for name in names:
         if not name.isidentifier() or len(name) > 32:
@@ -48,22 +48,22 @@ def check_names(names: tuple[str, ...], units: tuple[str, ...], axes: int) -> No
             raise Refused(f"the unit of an axis is m or rad, not {unit!r}; write for example units=(\"m\", \"rad\")")
 
 
-def parts_by_axis(name: str, given: Any, axes: int) -> tuple[Any, ...]:
+def parts_by_axis(name: str, parts: Any, axes: int) -> tuple[Any, ...]:
     """The part of each axis, of a part of the scene or a tuple with one for each.
 
     One environment alone is on the first axis, and any other part alone is on every axis. Raises `Refused`.
     """
-    if not isinstance(given, tuple):
-        return (given, *[None] * (axes - 1)) if name == "environment" else (given,) * axes
-    if len(given) != axes:
+    if not isinstance(parts, tuple):
+        return (parts, *[None] * (axes - 1)) if name == "environment" else (parts,) * axes
+    if len(parts) != axes:
         nothing = {
             "environment": "; write None for an axis that touches nothing",
             "law": "; write one number for all axes, or one for each, as law.K=300,200,100 for three",
         }.get(name, "; write one part for all axes, or one for each")
-        raise Refused(f"{name} names {number_of(len(given), 'axis', 'axes')}, the scene has {axes}{nothing}")
-    if name not in NOTHING and None in given:
-        raise Refused(f"{name} is None on the axis with index {given.index(None)}; give each axis its own {name}")
-    return given
+        raise Refused(f"{name} names {number_of(len(parts), 'axis', 'axes')}, the scene has {axes}{nothing}")
+    if name not in NOTHING and None in parts:
+        raise Refused(f"{name} is None on the axis with index {parts.index(None)}; give each axis its own {name}")
+    return parts
 
 
 def distinct(parts: tuple[Any, ...]) -> list[Any]:
@@ -92,7 +92,7 @@ def scales(scene: Any) -> tuple[tuple[float, float], ...]:
 
 
 def each_axis(make: Callable[..., Any], axes: int, **numbers: Any) -> Any:
-    """What `make` makes of these numbers, for each axis where one of them is a tuple, else one for all axes.
+    """Make a part of these numbers: one for each axis where a number is a tuple, else one for all axes.
 
     A tuple has one number for each axis. Raises `Refused` if it has more or fewer.
 

@@ -46,12 +46,12 @@ class AxisLabels(NamedTuple):
         >>> AxisLabels(units=("rad", "rad")).unit("N"), AxisLabels().unit("N"), AxisLabels(units=("m", "rad")).unit("s")
         ('N m', 'N', 's')
         """
-        found = {unit_on(unit, each) for each in self.units or ("m",)}
-        return found.pop() if len(found) == 1 else ""
+        units = {unit_on(unit, each) for each in self.units or ("m",)}
+        return units.pop() if len(units) == 1 else ""
 
     def document(self) -> dict[str, list[str]]:
         """The keys of a document; none where the scene gives neither names nor units."""
-        return {key: list(own) for key, own in zip(SHAPES, self, strict=True) if own}
+        return {key: list(labels) for key, labels in zip(SHAPES, self, strict=True) if labels}
 
 
 def labels_of(scene: Scene) -> AxisLabels:
@@ -70,7 +70,7 @@ def told_along(text: str, axis: str) -> str:
     >>> told_along("with 0.04 kg and 0.2 N s/m after 5 ms, 3 mm of way", "rad")
     'with 0.04 kg m^2 and 0.2 N m s/rad after 5 ms, 3 mrad of way'
     """
-    return _BEHIND.sub(lambda found: found[1] + TURNING[found[2]], text) if axis == "rad" else text
+    return _BEHIND.sub(lambda match: match[1] + TURNING[match[2]], text) if axis == "rad" else text
 
 
 def unit_on(unit: str, axis: str) -> str:

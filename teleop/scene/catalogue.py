@@ -34,7 +34,7 @@ class Named(NamedTuple):
 
 
 def names() -> dict[str, dict[str, str]]:
-    """All names by their kind, each with its meaning; no scene or law of a plug-in is imported."""
+    """Names by their kind, each with its meaning; no scene or law of a plug-in is imported."""
     laws = known_laws()
     return {
         "scenes": {name: _scene_line(name) for name in known_scenes()},
@@ -63,26 +63,26 @@ def find(name: str) -> list[Named]:
         return [_law(name, type(read_law(name)))]
     if file_named(name):
         return _in_file(name)
-    found = []
+    entries = []
     if name in known_scenes():
-        found.append(_scene(name))
+        entries.append(_scene(name))
     if name in (laws := known_laws()):
-        found.append(_law(name, _load(laws[name])))
+        entries.append(_law(name, _load(laws[name])))
     if name in STAGES:
         stage = _load(STAGES[name])
         knobs = {f"{name}_{knob}": one for knob, one in knobs_of_fields(stage).items()}
-        found.append(Named("stage around a law", name, _line(stage), knobs,
+        entries.append(Named("stage around a law", name, _line(stage), knobs,
                            f"--set law='{EXAMPLES[name]} | wave' --set law.NAME=VALUE"))
     if name in (effects := _effects()):
         effect = _load(effects[name])
-        found.append(Named("effect", name, _line(effect), knobs_of_fields(effect), f"--link '{name}(NAME=VALUE)'"))
+        entries.append(Named("effect", name, _line(effect), knobs_of_fields(effect), f"--link '{name}(NAME=VALUE)'"))
     if name in (estimators := _estimators()):
         estimator = _load(estimators[name])
-        found.append(Named("velocity estimator", name, _line(estimator), knobs_of_fields(estimator),
+        entries.append(Named("velocity estimator", name, _line(estimator), knobs_of_fields(estimator),
                            f"--set 'velocity={name}(NAME=VALUE)' of a scene that has this knob"))
-    if not found:
+    if not entries:
         raise UnknownName(name, {*known_scenes(), *laws, *STAGES, *effects, *estimators})
-    return found
+    return entries
 
 
 def units_of(name: str, knobs: Sequence[str], law: type[Any] | None = None) -> dict[str, str]:
@@ -91,13 +91,13 @@ def units_of(name: str, knobs: Sequence[str], law: type[Any] | None = None) -> d
     `law`: its class; left out, the units are those of the built-in laws.
     """
     try:
-        found = dict(knobs_of(scene_function(name)))
+        knobs_by_name = dict(knobs_of(scene_function(name)))
     except Refused:  # the scene's file is gone, or is no scene any more
         return {}
     if any(knob.startswith("law.") for knob in knobs):
         laws: list[Any] = [find_law(each) for each in BUILT_IN] if law is None else [law] * is_dataclass(law)
-        found |= {f"law.{key}": each for one in laws for key, each in knobs_of_fields(one).items()}
-    return {key: each.knob.unit for key, each in {**WIDE, **found}.items() if each.knob.unit}
+        knobs_by_name |= {f"law.{key}": each for one in laws for key, each in knobs_of_fields(one).items()}
+    return {key: each.knob.unit for key, each in {**WIDE, **knobs_by_name}.items() if each.knob.unit}
 
 
 def _in_file(text: str) -> list[Named]:
@@ -106,10 +106,10 @@ def _in_file(text: str) -> list[Named]:
         return [_law(text, file_law(text))]
     module = own_module(Path(text), "a scene or a law", "give the path of a .py file with a scene or a law")
     laws = laws_in(text)
-    found = [_law(text if len(laws) == 1 else f"{text}:{name}", law) for name, law in laws.items()]
-    if callable(getattr(module, "scene", None)) or not found:
-        found.insert(0, _scene(text))
-    return found
+    knobs = [_law(text if len(laws) == 1 else f"{text}:{name}", law) for name, law in laws.items()]
+    if callable(getattr(module, "scene", None)) or not knobs:
+        knobs.insert(0, _scene(text))
+    return knobs
 
 
 def _scene(name: str) -> Named:
@@ -122,8 +122,8 @@ def _law(name: str, law: Any) -> Named:
 
 
 def _effects() -> Mapping[str, str]:
-    found: Mapping[str, str] = import_bundled("channel.link").known_effects()
-    return found
+    entries: Mapping[str, str] = import_bundled("channel.link").known_effects()
+    return entries
 
 
 def _estimators() -> dict[str, str]:

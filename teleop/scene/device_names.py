@@ -1,4 +1,4 @@
-"""Which devices and robots there are by name: those built in, and those that installed packages offer.
+"""Devices and robots by name: those built in, and those that installed packages offer.
 
 A package of yours offers a master's device by `[project.entry-points."teleop.devices"]`, `mine = "my_package:MyArm"`,
 and a slave's robot by the group `teleop.robots`. They are listed without being imported. What opens one by its name is
@@ -29,7 +29,7 @@ ROBOTS = {  # of the slave's end
 
 
 class DeviceKind(NamedTuple):
-    """What stands at one end: its word, the option that names it, the group of entry points, the built-in ones."""
+    """Kind of device at one end: its word, the option that names it, the group of entry points, the built-in ones."""
 
     word: str
     option: str

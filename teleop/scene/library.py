@@ -161,16 +161,16 @@ def own_module(path: Path, what: str, hint: str) -> Any:
 
 def beside(path: Path) -> dict[str, Path]:
     """Modules that a scene's file imports from its own folder, directly or by way of another: file by name."""
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     waiting = [path]
     while waiting:
         for name in sorted(_imported(waiting.pop())):
             places = (path.parent / f"{name}.py", path.parent / name / "__init__.py")
             here = next((place for place in places if place.is_file()), None)
-            if here is not None and name not in found:
-                found[name] = here
+            if here is not None and name not in files:
+                files[name] = here
                 waiting.append(here)
-    return found
+    return files
 
 
 def _let_import_from(path: Path) -> None:

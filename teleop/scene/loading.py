@@ -80,8 +80,8 @@ class SceneMaker:
         try:
             scene = self._function(**settled)
         except Refused as refused:
-            given = {key: settled[key] for key in (*self._fixed, *knobs) if key in settled}
-            raise _as_typed(refused, self._name, given) from None
+            typed = {key: settled[key] for key in (*self._fixed, *knobs) if key in settled}
+            raise _as_typed(refused, self._name, typed) from None
         except (Exception, SystemExit) as error:
             why = f"{type(error).__name__}: {error}"
             raise Refused(f"scene {self._name} stopped with {why}; mend it and run again") from error
@@ -113,15 +113,15 @@ def _with_name(scene: Scene, name: str, knobs: Mapping[str, object], own_law: An
     return called
 
 
-def _as_typed(refused: Refused, name: str, given: Mapping[str, object]) -> Refused:
+def _as_typed(refused: Refused, name: str, typed: Mapping[str, object]) -> Refused:
     """A part's refusal with the name of the knob that set the part: the part may have another name for it."""
-    if isinstance(refused, (WrongNumber, WrongCount)) and given.get(refused.name) != refused.value:
-        same = [key for key, value in given.items() if type(value) in (int, float, tuple) and value == refused.value]
+    if isinstance(refused, (WrongNumber, WrongCount)) and typed.get(refused.name) != refused.value:
+        same = [key for key, value in typed.items() if type(value) in (int, float, tuple) and value == refused.value]
         if len(same) == 1:
             return refused.with_name(same[0])
     if isinstance(refused, LawMistake):
         return refused
-    said = str(refused).replace("=", " ").split()
-    if not given or any(key in said for key in given):
+    words = str(refused).replace("=", " ").split()
+    if not typed or any(key in words for key in typed):
         return refused
-    return Refused(f"{refused} (scene {name} with {', '.join(f'{key}={value}' for key, value in given.items())})")
+    return Refused(f"{refused} (scene {name} with {', '.join(f'{key}={value}' for key, value in typed.items())})")

@@ -1,4 +1,4 @@
-"""One axis of a scene as a scene of its own."""
+"""Axis of a scene as a scene of its own."""
 
 from __future__ import annotations
 

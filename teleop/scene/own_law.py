@@ -59,14 +59,14 @@ def _load_law(text: str, _: tuple[int, ...] | None) -> type[Any]:
     if not name:
         raise Refused(f"{file} has no law: a class with the methods {enumerated(_TWO_ENDS)}, or "
                       f"{enumerated(_ONE_PORT)} where the scene has no slave; README.md has one under \"Write a law\"")
-    found = getattr(own_module(Path(file), "a law", _HINT), name, None)
-    if found is None:
-        there = nearest(name, laws) if laws else "it has no law"
-        raise Refused(f"{file} has no class {name!r}; {there}")
-    if not isinstance(found, type) or (lacks := _lacks(found)):
-        why = f"it has no {enumerated(lacks)}" if isinstance(found, type) else "it is no class"
+    law = getattr(own_module(Path(file), "a law", _HINT), name, None)
+    if law is None:
+        hint = nearest(name, laws) if laws else "it has no law"
+        raise Refused(f"{file} has no class {name!r}; {hint}")
+    if not isinstance(law, type) or (lacks := _lacks(law)):
+        why = f"it has no {enumerated(lacks)}" if isinstance(law, type) else "it is no class"
         raise Refused(f"{name} in {file} is no law: {why}; there are: {', '.join(laws) or 'no laws'}")
-    return found
+    return law
 
 
 def _parted(text: str) -> tuple[str, str]:

@@ -23,7 +23,7 @@ ALIKE = {"law": "one law", "master": BODY, "slave": BODY, "scaling": "one scale 
 
 
 def check_rotations(scene: Any) -> None:
-    """Of a `Scene` refuse rotations that are not three axes each, laws without orientation, and parts unlike."""
+    """Refuse a scene whose rotations are not three axes each, whose law has no orientation, or whose parts differ."""
     firsts = scene.rotations
     whole = isinstance(firsts, tuple) and all(type(each) is int for each in firsts)
     if not whole or any(b < a + 3 for a, b in zip((-3, *firsts), (*firsts, scene.axes), strict=True)):
@@ -57,8 +57,8 @@ def without_orientation(law: Any) -> str:
                 return str(why)
         kind_of_law = vars(kind_of_law).get("inner_law")
     still = start_at(0.0, 0.0, 0.0, 1e-3)
-    told = [*messages(law), *[type(getattr(law, f"{e}_start")(still)[0]) for e in ("master", "slave")]]
-    if any(positions(each) for each in told if hasattr(each, "_fields")):
+    types = [*messages(law), *[type(getattr(law, f"{e}_start")(still)[0]) for e in ("master", "slave")]]
+    if any(positions(each) for each in types if hasattr(each, "_fields")):
         return ""
     if "x" in reads(law.master) | reads(law.slave):
         return "it reads positions, and declares none of its messages or its state as one, as x: kind.Position does"

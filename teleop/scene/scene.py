@@ -199,14 +199,14 @@ class Scene:
 
     def _check_deadband(self) -> None:
         """Refuse a deadband whose silence would be taken for a peer that is gone, or for waves that are zero."""
-        own = self.deadband
-        if own is None:
+        band = self.deadband
+        if band is None:
             return
         timeout = None if self.watchdog is None else getattr(self.watchdog, "timeout", None)
-        if timeout is not None and (own.keep_alive is None or own.keep_alive >= timeout):
-            keep = "never" if own.keep_alive is None else f"after {own.keep_alive:g} s"
+        if timeout is not None and (band.keep_alive is None or band.keep_alive >= timeout):
+            keep = "never" if band.keep_alive is None else f"after {band.keep_alive:g} s"
             raise Refused(f"the deadband sends {keep} without a change, and the watchdog lets go after {timeout:g} s "
-                          f"without a message; write for example Deadband(k={own.k:g}, keep_alive={0.2 * timeout:g})")
+                          f"without a message; write for example Deadband(k={band.k:g}, keep_alive={0.2 * timeout:g})")
         if self.has_waves and isinstance(self.wave_playout, Zero):
             raise Refused("a deadband leaves gaps between the waves that it sends, and playout zero plays nothing in "
                           "them: the force would be a pulse for each message; write playout=integral, or leave the "
@@ -280,9 +280,9 @@ class Scene:
 
     def leaves_out(self, e: str) -> LeftOutLike | None:
         """The ticks that the end `e` leaves out: the scene's own, or those that its link brings along; None: none."""
-        own: LeftOutLike | None = self.left_out_m if e == "m" else self.left_out_s
-        bring = None if own is not None else getattr(self.link, "leaves_out", None)
-        return own if bring is None else bring(0 if e == "m" else 1, self.dt_ns)
+        skipped: LeftOutLike | None = self.left_out_m if e == "m" else self.left_out_s
+        bring = None if skipped is not None else getattr(self.link, "leaves_out", None)
+        return skipped if bring is None else bring(0 if e == "m" else 1, self.dt_ns)
 
     def vector(self, name: str, value: Vector) -> tuple[float, ...]:
         """`value` for each axis; a number means along the first, the others stay 0."""
@@ -330,7 +330,7 @@ class Scene:
 
     @property
     def wave_playout(self) -> Gaps | None:
-        """What is played of waves; None where the law's messages have none."""
+        """Rule by which waves are played; None where the law's messages have none."""
         return gaps_of(self.played_as) if self.has_waves else None
 
 
@@ -339,10 +339,10 @@ def both_ends(scene: Scene) -> Scene:
     if scene.slave is None:
         raise Refused(f"scene {scene.name} has no slave, so it has no link and no second end; run it in virtual time: "
                       f"teleop run {scene.name}")
-    own = scene.deadband
-    if own is not None and (own.keep_alive is None or own.keep_alive > 0.1):
+    deadband = scene.deadband
+    if deadband is not None and (deadband.keep_alive is None or deadband.keep_alive > 0.1):
         raise Refused("a live end takes a peer that is silent for long to be gone, so its deadband sends every 0.1 s "
-                      f"at least: write for example Deadband(k={own.k:g}, keep_alive=0.01)")
+                      f"at least: write for example Deadband(k={deadband.k:g}, keep_alive=0.01)")
     if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         raise Refused("ticks are left out by order in virtual time alone; a live end leaves out those that it cannot "
                       "run in time: leave left_out away (of a recorded link write left_out=False), or type teleop run")

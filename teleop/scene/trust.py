@@ -51,8 +51,8 @@ def _check_no_file(name: str, knobs: Mapping[str, object]) -> None:
     from teleop.scene.library import import_bundled, scene_function
     from teleop.scene.own_law import file_named
 
-    kinds = {key: get_args(found.kind) if isinstance(found.kind, UnionType) else (found.kind,)
-             for key, found in knobs_of(scene_function(name)).items()}
+    kinds = {key: get_args(declaration.kind) if isinstance(declaration.kind, UnionType) else (declaration.kind,)
+             for key, declaration in knobs_of(scene_function(name)).items()}
     for key, value in knobs.items():
         if isinstance(value, str) and file_named(value):  # of a law, whatever its knob is called
             raise Refused(f"the folder's scene {name} has {key}={value[:200]}, which is a file with code, so it is not "

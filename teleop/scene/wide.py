@@ -64,12 +64,12 @@ def read_hand(value: object) -> tuple[str, Any]:
 def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene with knobs of `WIDE` set. Raises `Refused`."""
     parts = {key: value for key, value in values.items() if key not in _SCALES}
-    given = {key: value for key, value in values.items() if key in _SCALES}
-    if given:
+    scaling = {key: value for key, value in values.items() if key in _SCALES}
+    if scaling:
         from teleop.stages.scaling import Scaling
 
-        own = [one if isinstance(scene.scaling, tuple) else one[0] for one in zip(*scales(scene), strict=True)]
-        parts["scaling"] = each_axis(Scaling, scene.axes, **{**dict(zip(_SCALES, own, strict=True)), **given})
+        usual = [one if isinstance(scene.scaling, tuple) else one[0] for one in zip(*scales(scene), strict=True)]
+        parts["scaling"] = each_axis(Scaling, scene.axes, **{**dict(zip(_SCALES, usual, strict=True)), **scaling})
     if "left_out" in parts:
         share = parts.pop("left_out")
         ticks = import_bundled("channel.left_out").LeftOut(share) if share > 0.0 else None
@@ -90,7 +90,7 @@ def with_wide(scene: Scene, values: Mapping[str, Any]) -> Scene:
                           "a scene with one")
         parts["hand"].check(scene.axes, scene.dt_ns)
         grip, moved = import_bundled("master.hand").Grip, parts["hand"]
-        hands = [own and grip(mass=own.mass, k=own.k, d=own.d, reference=moved) for own in scene.per_axis("hand")]
+        hands = [hand and grip(mass=hand.mass, k=hand.k, d=hand.d, reference=moved) for hand in scene.per_axis("hand")]
         parts["hand"] = tuple(hands) if isinstance(scene.hand, tuple) else hands[0]
     made = replace(scene, **parts)
     along = made.has_waves and integrates(made.played_as)  # what waves have come to is sent without a link too
