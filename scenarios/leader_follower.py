@@ -90,6 +90,6 @@ def by_joint(law: Any) -> Any:
     """A law for each joint, with the `GAINS` of that joint where the law has its own default; a tuple as it is."""
     if isinstance(law, tuple):
         return law
-    own = {each.name: each.default for each in fields(law)}
-    left = [name for name in GAINS if name in own and getattr(law, name) == own[name]]
+    defaults = {each.name: each.default for each in fields(law)}
+    left = [name for name in GAINS if name in defaults and getattr(law, name) == defaults[name]]
     return tuple([replace(law, **{name: GAINS[name][i] for name in left}) for i in range(len(JOINTS))])

@@ -84,7 +84,7 @@ def scene(
 
 
 def both(translation: Any, rotation: Any) -> tuple[Any, ...]:
-    """One part for each of x, y and z, and one for each of rx, ry and rz."""
+    """Make a part for each of x, y and z, and another for each of rx, ry and rz."""
     return (*[translation] * 3, *[rotation] * 3)
 
 

@@ -45,7 +45,7 @@ HOME = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Do what `argv` (left out: the command line) asks for; returns the exit code, that of the answer or `guarded`."""
+    """Run the command in `argv` (default: the command line); return the exit code of its answer or of `guarded`."""
     typed = sys.argv[1:] if argv is None else list(argv)
     return guarded(lambda: _obey(typed))
 
@@ -82,8 +82,8 @@ def _obey(typed: Sequence[str]) -> int:
 
     args.typed = ["teleop", *typed]
     args.seconds, args.nanoseconds = perf_counter, perf_counter_ns
-    other = args.do == "run" and (args.device is not None or args.robot is not None)
-    module, _, function = HOME["run, with devices" if other else args.do].partition(":")
+    with_devices = args.do == "run" and (args.device is not None or args.robot is not None)
+    module, _, function = HOME["run, with devices" if with_devices else args.do].partition(":")
     answer = getattr(import_module(module), function)(args)
     say(answer, json=args.json)
     return int(answer.code)

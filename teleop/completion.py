@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
 from teleop.scene.catalogue import find, names
-from teleop.scene.wide import WIDE
+from teleop.scene.knobs import COMMON
 from teleop.terminal.listing import PLAYOUTS, TABLES, meaning_of
 from teleop.terminal.options import FORMATS
 
@@ -96,7 +96,7 @@ def knobs(parsed_args: Namespace, **_: Any) -> dict[str, Declared]:
     typed = [text.partition("=")[2] for text in getattr(parsed_args, "set", None) or () if text.startswith("law=")]
     law = typed[-1] if typed else _law_name(found["law"].default) if "law" in found else ""
     of_law = {f"law.{name}": one for name, one in _knobs_of("law", law).items()}
-    return {**found, **WIDE, **of_law}
+    return {**found, **COMMON, **of_law}
 
 
 def settings(prefix: str, parsed_args: Namespace, **_: Any) -> Words:
@@ -156,7 +156,7 @@ def _playouts() -> Words:
 
 
 def _devices(ends: str) -> Callable[[], Words]:
-    from teleop.scene.device_names import device_line, known_devices
+    from teleop.scene.catalogue import device_line, known_devices
 
     return lambda: {name: device_line(e, name, place) for e in ends for name, place in known_devices(e).items()}
 

@@ -23,20 +23,20 @@ class DeviceError(Exception):
 class WrongNumber(Refused):
     """A refused number: its name, its value, the range that it must be in, and an example of a good one."""
 
-    def __init__(self, name: str, value: object, must: str, example: float | None, more: str = "") -> None:
+    def __init__(self, name: str, value: object, must: str, example: float | None, note: str = "") -> None:
         shown = f"{value:g}" if type(value) is float else repr(value)
         typed = name.rpartition(" ")[2]
         cure = "leave it out to use its default" if example is None else f"write for example {typed}={example:g}"
-        super().__init__(f"{name} must be {must}, not {shown}; {cure}{more and f' ({more})'}")
-        self.name, self.value, self._must, self._example, self._more = name, value, must, example, more
+        super().__init__(f"{name} must be {must}, not {shown}; {cure}{note and f' ({note})'}")
+        self.name, self.value, self._must, self._example, self._note = name, value, must, example, note
 
     def with_name(self, name: str) -> WrongNumber:
         """The same refusal with another name of the number, the one under which it was typed."""
-        return WrongNumber(name, self.value, self._must, self._example, self._more)
+        return WrongNumber(name, self.value, self._must, self._example, self._note)
 
-    def with_note(self, more: str) -> WrongNumber:
+    def with_note(self, note: str) -> WrongNumber:
         """The same refusal with what the number is and where its range comes from, in brackets at the end."""
-        return WrongNumber(self.name, self.value, self._must, self._example, more)
+        return WrongNumber(self.name, self.value, self._must, self._example, note)
 
 
 class WrongCount(Refused):

@@ -39,8 +39,8 @@ Position = Annotated[float, "position"]
 
 def kinds(message: type[Any]) -> dict[str, str]:
     """The kind of each field of a message or state, "wave", "total", "sample" or "position", in their order."""
-    found: Callable[[Any], dict[str, str]] = _kinds
-    return found(message)
+    cached: Callable[[Any], dict[str, str]] = _kinds
+    return cached(message)
 
 
 def waves(message: type[Any]) -> tuple[str, ...]:

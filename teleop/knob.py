@@ -80,16 +80,16 @@ def knobs_of_fields(kind: Any) -> dict[str, Declared]:
 
 @lru_cache(maxsize=256)
 def _knobs_of_fields(kind: Any) -> dict[str, Declared]:
-    own = [field for field in fields(kind) if field.init]
+    settable = [field for field in fields(kind) if field.init]
     try:
         hints = get_type_hints(kind, include_extras=True)
     except Exception:  # a name in an annotation that cannot be found: the type is known as text alone
-        hints = {field.name: field.type for field in own}
-    return {field.name: Declared(*_with_default(declared(hints[field.name]), field.default)) for field in own}
+        hints = {field.name: field.type for field in settable}
+    return {field.name: Declared(*_with_default(declared(hints[field.name]), field.default)) for field in settable}
 
 
-def _with_default(found: tuple[Any, Knob], default: object) -> tuple[Any, Any, Knob]:
-    return found[0], ... if default is MISSING else default, found[1]
+def _with_default(kind_and_knob: tuple[Any, Knob], default: object) -> tuple[Any, Any, Knob]:
+    return kind_and_knob[0], ... if default is MISSING else default, kind_and_knob[1]
 
 
 def check_knobs(part: Any) -> None:

@@ -105,17 +105,17 @@ class PartKind:
         in_place = [knob for knob, (_, by_name) in knobs.items() if not by_name]
         if len(node.args) > len(in_place) or any(isinstance(arg, ast.Starred) for arg in node.args):
             raise Refused(f"{name} takes at most {number_of(len(in_place), 'argument')} without their names: {usage}")
-        given = dict(zip(in_place, node.args, strict=False))
+        nodes = dict(zip(in_place, node.args, strict=False))
         for keyword in node.keywords:
-            if keyword.arg is None or keyword.arg in given or keyword.arg not in knobs:
-                twice = "twice " if keyword.arg in given else ""
+            if keyword.arg is None or keyword.arg in nodes or keyword.arg not in knobs:
+                twice = "twice " if keyword.arg in nodes else ""
                 raise Refused(f"{name} does not take {keyword.arg or '**'} {twice}as an argument: {usage}")
-            given[keyword.arg] = keyword.value
-        missing = [knob for knob, (needed, _) in knobs.items() if needed and knob not in given]
+            nodes[keyword.arg] = keyword.value
+        missing = [knob for knob, (needed, _) in knobs.items() if needed and knob not in nodes]
         if missing:
             raise Refused(f"{name} needs {enumerated(missing)}: {usage}")
         try:
-            return {knob: ast.literal_eval(value) for knob, value in given.items()}
+            return {knob: ast.literal_eval(value) for knob, value in nodes.items()}
         except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError):
             raise Refused(f"the arguments of {name} must be numbers or texts in quotes: {usage}") from None
 

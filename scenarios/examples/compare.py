@@ -13,9 +13,9 @@ table = sweep("soft_tissue", {"law": LAWS, "delay": DELAYS}, metrics=["x_err_rms
 print(table.counts())
 for law in LAWS:
     rows = table.where(law=law)
-    told = (f"{1e3 * error:.1f} mm" if status == "ok" else status
+    errors = (f"{1e3 * error:.1f} mm" if status == "ok" else status
             for error, status in zip(rows["x_err_rms"], rows["status"], strict=True))
-    print(f"{law:<7}", *(f"{one:>10}" for one in told))
+    print(f"{law:<7}", *(f"{one:>10}" for one in errors))
 
 # %% One run, looked at closely
 result = run(load_scene("soft_tissue", law="wave", delay=0.05), seed=1)

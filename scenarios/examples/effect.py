@@ -27,7 +27,7 @@ class Handover(Effect):
         """No state: whether a packet waits depends on its own time alone."""
 
     def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
-        """All packets; those of a standstill at its end. Arrays (n,) in, sorted by time, and out the same."""
+        """Return all packets, those of a standstill at its end. Arrays (n,) in, sorted by time, and the same out."""
         into = time_ns % nanoseconds(self.every)  # ns since the last standstill began
         gap = nanoseconds(self.gap)
         leave = np.where(into < gap, time_ns - into + gap, time_ns)

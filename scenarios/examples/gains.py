@@ -28,7 +28,7 @@ def drag(result: Result) -> float:
 
 
 def bounce(result: Result) -> float:
-    """How long the slave is off the wall after it first touched it, s."""
+    """Time that the slave is off the wall after it first touched it, s."""
     touches = result.trace["f_env"] != 0.0
     return float(np.count_nonzero(~touches[touches.argmax():]) * result.dt)
 

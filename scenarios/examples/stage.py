@@ -38,7 +38,7 @@ class AlphaBeta:
         return v, (predicted + alpha * (x - predicted), v)
 
 
-def felt(estimator: Any) -> float:
+def velocity_error(estimator: Any) -> float:
     """The rms error (m/s) of an estimator behind a coarse encoder, on a handle that a hand moves to and fro."""
     trace = run(Scene(
         law=VirtualWall(K=300.0, at=0.0), master=MassDamper(mass=0.1, damping=0.5),
@@ -50,4 +50,4 @@ def felt(estimator: Any) -> float:
 
 if __name__ == "__main__":
     for each in (BackwardDifference(), LowPass(cutoff=30.0), AlphaBeta()):
-        print(f"{type(each).__name__:<18} {1e3 * felt(each):5.1f} mm/s rms")
+        print(f"{type(each).__name__:<18} {1e3 * velocity_error(each):5.1f} mm/s rms")

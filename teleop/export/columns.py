@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.scene.axis_labels import AxisLabels, unit_on
+from teleop.scene.axes import AxisLabels, unit_on
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

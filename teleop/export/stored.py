@@ -18,7 +18,7 @@ from teleop.export.columns import Field, field
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import settle
 from teleop.live.records.reader import FILE
-from teleop.scene.axis_labels import labels_in
+from teleop.scene.axes import labels_in
 from teleop.simulation.result import LATEST, RUNNING, incomplete, law_with_gains, stored_summary
 from teleop.storage.archive import StoredArray, open_arrays
 from teleop.storage.folder import BEGUN, is_being_written

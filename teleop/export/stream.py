@@ -22,7 +22,7 @@ from teleop.export.stored import parts_in, turned
 from teleop.live.net.wire import Address, host_port
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.reader import FILE, OWN, GrowingRecord, Row
-from teleop.scene.axis_labels import labels_in
+from teleop.scene.axes import labels_in
 from teleop.storage.folder import is_being_written
 from teleop.storage.strict_json import Misshapen
 

@@ -205,7 +205,7 @@ def reads(end: Callable[..., Any]) -> frozenset[str]:
 
 @lru_cache(maxsize=256)
 def _reads(function: FunctionType) -> frozenset[str]:
-    found: set[str] = set()
+    names: set[str] = set()
     seen: set[CodeType] = set()
     waiting = _code(function)
     while waiting:
@@ -213,7 +213,7 @@ def _reads(function: FunctionType) -> frozenset[str]:
         if code in seen:
             continue
         seen.add(code)
-        found.update(name for name in code.co_names if name in At._fields)
+        names.update(name for name in code.co_names if name in At._fields)
         # Comprehensions and lambdas are code of their own; which of them are depends on the Python version.
         waiting.extend((inner, around) for inner in code.co_consts if isinstance(inner, CodeType))
         named = [around.get(name) for name in code.co_names]
@@ -222,8 +222,8 @@ def _reads(function: FunctionType) -> frozenset[str]:
             others = [each for kind in named if isinstance(kind, type)
                       for each in _code(getattr(kind, function.__name__, None))]
             waiting.extend(others)
-            found.update(() if others else {*At._fields} - {"f"})
-    return frozenset(found)
+            names.update(() if others else {*At._fields} - {"f"})
+    return frozenset(names)
 
 
 def _code(function: object) -> list[tuple[CodeType, dict[str, Any]]]:

@@ -1,4 +1,4 @@
-"""What a law may tell the analyses of itself. An analysis asks for the offer, never for the law's class.
+"""Offers of a law to the analyses. An analysis asks for the offer, never for the law's class.
 
     linear(self) -> law            of a law that is not linear: the linear law that `stability`, `passivity` and
                                    `zwidth` take in its place, with the same kinds of ends
@@ -49,11 +49,11 @@ def coupling_of(law: Any, dt: float) -> Coupling | None:
     offer = getattr(law, "coupling", None)
     if not callable(offer):
         return None
-    found = offer(dt)
-    if not isinstance(found, Coupling):
-        raise Refused(f"{type(law).__name__}.coupling returned {type(found).__name__}; write return Coupling(C=..., "
+    coupling = offer(dt)
+    if not isinstance(coupling, Coupling):
+        raise Refused(f"{type(law).__name__}.coupling returned {type(coupling).__name__}; write return Coupling(C=..., "
                       "E=..., free=...) with functions of z, and from teleop import Coupling")
-    return found
+    return coupling
 
 
 def linear_law(law: Any) -> Any | None:
@@ -64,18 +64,18 @@ def linear_law(law: Any) -> Any | None:
 
 def instead(law: Any) -> str:
     """The linear law that stands for `law`, in words for a report; empty if none does."""
-    own = linear_law(law)
-    if own is None:
+    linear = linear_law(law)
+    if linear is None:
         return ""
-    if type(own) is type(law):
-        changed = [each.name for each in fields(own) if getattr(own, each.name) != getattr(law, each.name)]
-        with_these = ", ".join(f"{name}={getattr(own, name):g}" for name in changed)
+    if type(linear) is type(law):
+        changed = [each.name for each in fields(linear) if getattr(linear, each.name) != getattr(law, each.name)]
+        with_these = ", ".join(f"{name}={getattr(linear, name):g}" for name in changed)
         return f"{law_name(law)} is taken with {with_these}, as it is linear" if changed else ""
-    return f"{law_name(law)} is not linear: {described(own)} stands in its place"
+    return f"{law_name(law)} is not linear: {described(linear)} stands in its place"
 
 
 def linear_hint(law: Any, lead: str) -> str:
-    """What to type so that the law is linear, after `lead`; empty if it does not say.
+    """Options to type so that the law is linear, after `lead`; empty if it names none.
 
     >>> from teleop.laws.pfra import PFRA
     >>> linear_hint(PFRA(), "write ")
@@ -93,5 +93,5 @@ def described(law: Any) -> str:
     >>> described(Direct(K=400.0, B=4.0))
     'direct(K=400, B=4, kf=1)'
     """
-    own = fields(law) if is_dataclass(law) else ()
-    return f"{law_name(law)}({', '.join(f'{each.name}={getattr(law, each.name):g}' for each in own)})"
+    parameters = fields(law) if is_dataclass(law) else ()
+    return f"{law_name(law)}({', '.join(f'{each.name}={getattr(law, each.name):g}' for each in parameters)})"

@@ -71,13 +71,13 @@ def check_contract(law: Any) -> None:
                          "change it; write @dataclass(frozen=True, kw_only=True) above it")
     _declares(law, check_claims, law)
     try:
-        own = deepcopy(law)  # a law that changes itself, or writes down its calls, has not done so before its run
+        copied = deepcopy(law)  # a law that changes itself, or writes down its calls, has not done so before its run
     except Exception:  # a law may hold what has no copy
-        own = law
+        copied = law
     if hasattr(law, "master"):
-        _probe_two_port(own)
+        _probe_two_port(copied)
     else:
-        _probe_one_port(own)
+        _probe_one_port(copied)
     if functions_of(law) is kind:  # a wrapper's methods depend on what it wraps
         _CHECKED.add(kind)
 
@@ -87,30 +87,30 @@ def _probe_two_port(law: Any) -> None:
     for method in methods.values():
         method.check_code({"at": At})
     kinds, states, sent = {}, {}, {}
-    for end, other in (("master", "slave"), ("slave", "master")):
-        states[end], sent[other] = methods[f"{end}_start"].probe(REST)
+    for end, peer in (("master", "slave"), ("slave", "master")):
+        states[end], sent[peer] = methods[f"{end}_start"].probe(REST)
     _declares(law, check_waves, law, sent)
     _declares(law, check_offers, law, states)
     _declares(law, check_names, {"state": [*states.values()], "message": [*sent.values()]})
-    for end, other in (("master", "slave"), ("slave", "master")):
+    for end, peer in (("master", "slave"), ("slave", "master")):
         kinds[end] = {"state": type(states[end]), "message": type(sent[end])}
-        own: dict[str, type] = {"at": At, "s": type(states[end]), "rx": type(sent[other])}
+        types: dict[str, type] = {"at": At, "s": type(states[end]), "rx": type(sent[peer])}
         for name in (end, f"{end}_sums"):
             if name in methods:
-                methods[name].check_code(own)
+                methods[name].check_code(types)
     for at in SITUATIONS:
         heard = {"master": sent["slave"], "slave": sent["master"]}
         for end, rx in heard.items():
-            given = [states[end], at, rx]
+            arguments = [states[end], at, rx]
             if f"{end}_sums" in methods:
-                given.append(methods[f"{end}_sums"].probe(*given))
-            _, sent[end], states[end] = methods[end].probe(*given, kinds=kinds[end])
+                arguments.append(methods[f"{end}_sums"].probe(*arguments))
+            _, sent[end], states[end] = methods[end].probe(*arguments, kinds=kinds[end])
 
 
-def _declares(law: Any, check: Callable[..., None], *given: Any) -> None:
-    """Do a check of what a law declares; `Refused` with its class and the line of that if it fails."""
+def _declares(law: Any, check: Callable[..., None], *arguments: Any) -> None:
+    """Run a check of a law's declarations; `Refused` with the law's class and its line if it fails."""
     try:
-        check(*given)
+        check(*arguments)
     except Wrong as wrong:
         raise LawMistake(f"{type(law).__name__}{_class_place(law)} {wrong}") from None
 
@@ -127,7 +127,7 @@ def _probe_one_port(law: Any) -> None:
 
 
 class Method(NamedTuple):
-    """One method of a law, called by its name."""
+    """Method of a law, called by its name."""
 
     law: Any
     name: str
@@ -151,8 +151,8 @@ class Method(NamedTuple):
         except Exception as error:
             refused = refusal(self.law, error)
             if refused is None:  # it was not even entered: it takes other arguments
-                given = ", ".join((*TAKES[self.name], "over")[:len(arguments)])
-                refused = self.in_words(error, self.first_line(), f"it is called as {self.name}({given})")
+                names = ", ".join((*TAKES[self.name], "over")[:len(arguments)])
+                refused = self.in_words(error, self.first_line(), f"it is called as {self.name}({names})")
             raise refused from None
 
     def probe(self, *arguments: Any, kinds: Mapping[str, type] | None = None) -> Any:
@@ -181,17 +181,17 @@ class Method(NamedTuple):
 
     def in_words(self, error: Exception, place: str, cure: str = "") -> LawMistake:
         """The sentence for an exception that the method raised at `place`."""
-        said = " ".join(_text(error).split())
-        said = f"{type(error).__name__}{': ' * bool(said)}{said}"
-        return LawMistake(f"{self.label}{place} raised {said}; {cure or _cure(error)}")
+        message = " ".join(_text(error).split())
+        message = f"{type(error).__name__}{': ' * bool(message)}{message}"
+        return LawMistake(f"{self.label}{place} raised {message}; {cure or _cure(error)}")
 
     def first_line(self) -> str:
-        """Where the method begins, " (path:line)"; nothing if it is no Python function."""
+        """First line of the method, " (path:line)"; nothing if it is no Python function."""
         function = self.function
         return "" if function is None else file_line(function.__code__.co_filename, function.__code__.co_firstlineno)
 
     def return_line(self, arguments: tuple[Any, ...]) -> str:
-        """Where the method returns for `arguments`, " (path:line)": it is called once more, and watched."""
+        """Line at which the method returns for `arguments`, " (path:line)": it is called once more, and traced."""
         places: list[str] = []
 
         def on_call(frame: FrameType, event: str, arg: object) -> Any:  # noqa: ARG001 - Python's own signature
@@ -340,15 +340,15 @@ def refusal(law: Any, error: BaseException) -> LawMistake | None:
     method: Method | None = None
     place = file = ""
     for frame, line in walk_tb(error.__traceback__):
-        if (found := methods.get(frame.f_code)) is not None and (method is None or found.law is not method.law):
-            method, file = found, frame.f_code.co_filename
+        if (called := methods.get(frame.f_code)) is not None and (method is None or called.law is not method.law):
+            method, file = called, frame.f_code.co_filename
         if method is not None and frame.f_code.co_filename == file:
             place = file_line(file, line)
     return None if method is None else method.in_words(error, place)
 
 
 def not_finite(law: Any, column: str) -> str:
-    """What is not finite, with the method that returned it where the column of the record is a force.
+    """Name the column that is not finite, and of a force the method that returned it.
 
     >>> from teleop.laws.direct import Direct
     >>> not_finite(Direct(), "f_s"), not_finite(Direct(), "v_m")
@@ -361,29 +361,30 @@ def not_finite(law: Any, column: str) -> str:
 def _found_again(law: Any, work: Callable[..., Any], *arguments: Any) -> LawMistake | None:
     """The first answer of the law that is wrong while `work` is done, which fails; None if there is none."""
     methods = _methods(law)
-    found: list[LawMistake] = []
+    mistakes: list[LawMistake] = []
 
     def on_call(frame: FrameType, event: str, arg: object) -> Any:  # noqa: ARG001 - Python's own signature
-        if frame.f_code not in methods or found:
+        if frame.f_code not in methods or mistakes:
             return None
         frame.f_trace_lines = False
         return on_return
 
     def on_return(frame: FrameType, event: str, answer: Any) -> Any:
         method = methods[frame.f_code]
-        if event == "return" and not found:
+        if event == "return" and not mistakes:
             try:
                 judge_answer(method.name, answer, _kinds(law).get(method.name), finite=False)
             except Wrong as wrong:
-                found.append(LawMistake(f"{method.label}{file_line(frame.f_code.co_filename, frame.f_lineno)} {wrong}"))
+                place = file_line(frame.f_code.co_filename, frame.f_lineno)
+                mistakes.append(LawMistake(f"{method.label}{place} {wrong}"))
         return on_return
 
     _traced(on_call, work, *arguments)
-    return found[0] if found else None
+    return mistakes[0] if mistakes else None
 
 
 def _traced(on_call: Callable[[FrameType, str, object], Any], work: Callable[..., Any], *arguments: Any) -> None:
-    """Do `work` under Python's tracing, and let pass what it raises."""
+    """Run `work` under Python's tracing, and pass over its exception."""
     before = sys.gettrace()
     sys.settrace(on_call)
     try:
@@ -416,7 +417,7 @@ def _kinds(law: Any) -> dict[str, dict[str, type]]:
 
 
 def _cure(error: Exception) -> str:
-    """What to do about an exception that a method of a law raised."""
+    """Advice on an exception that a method of a law raised."""
     if type(error).__name__ == "FrozenInstanceError":
         return REMEMBER
     if isinstance(error, AttributeError) and isinstance(error.obj, tuple) and hasattr(error.obj, "_fields"):
@@ -427,7 +428,7 @@ def _cure(error: Exception) -> str:
 
 
 def _fields(kind: type, name: str) -> str:
-    """What fields a NamedTuple has, in place of one that it has not."""
+    """Fields of a NamedTuple, for a sentence on one that it has not."""
     fields: tuple[str, ...] = getattr(kind, "_fields", ())
     if not fields:
         return f"{'()' if kind is tuple else kind.__name__} has no fields"
@@ -462,7 +463,7 @@ def file_line(file: str, line: int) -> str:
 
 
 def _class_place(law: Any) -> str:
-    """Where a law's class begins, " (path:line)"; without its source, where its first method does."""
+    """Place of a law's class, " (path:line)"; without its source, the place of its first method."""
     from inspect import getsourcefile, getsourcelines
 
     try:

@@ -1,4 +1,4 @@
-"""What a law declares of itself, checked when a scene is made of it: its claims, its messages, what else it offers.
+"""Checks of a law's declarations, when a scene is made of it: its claims, its messages and its other offers.
 
 Each check raises `Wrong`, whose text is the rest of a sentence that begins with the law's class and its line.
 """
@@ -19,7 +19,7 @@ LONGEST = 80  # characters of a value that a sentence shows
 
 
 class Wrong(Exception):
-    """What is wrong with a law; the text is the rest of a sentence that begins with the law or one of its methods."""
+    """Fault of a law; the text is the rest of a sentence that begins with the law or one of its methods."""
 
 
 def check_claims(law: Any) -> None:
@@ -41,13 +41,13 @@ def check_claims(law: Any) -> None:
 
 def check_waves(law: Any, sent: Mapping[str, Any]) -> None:
     """A message has one wave or none, in both directions or in neither; E_link is claimed with waves alone."""
-    found = {type(message).__name__: waves(type(message)) for message in sent.values()}
+    sent_waves = {type(message).__name__: waves(type(message)) for message in sent.values()}
     claims = "E_link" in getattr(law, "claims", ())
-    if two := next((message for message, fields in found.items() if len(fields) > 1), None):
-        raise Wrong(f"sends a message {two} of {len(found[two])} waves, {', '.join(found[two])}, and one direction has "
-                    "one wave; write float for what is none")
-    without = [message for message, fields in found.items() if not fields]
-    if without and (claims or len(without) < len(found)):
+    if two := next((message for message, fields in sent_waves.items() if len(fields) > 1), None):
+        raise Wrong(f"sends a message {two} of {len(sent_waves[two])} waves, {', '.join(sent_waves[two])}, and one "
+                    "direction has one wave; write float for what is none")
+    without = [message for message, fields in sent_waves.items() if not fields]
+    if without and (claims or len(without) < len(sent_waves)):
         why = "claims E_link" if claims else "has a wave in one direction"
         raise Wrong(f"{why}, and its message {without[0]} has no field that is a wave; write `u: kind.Wave` for the "
                     "one that is, with `from teleop import kind`")

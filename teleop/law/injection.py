@@ -1,4 +1,4 @@
-"""How much damping a delayed spring between two ends asks for: the condition of position-position laws, worked out.
+"""Damping that a delayed spring between two ends needs: the condition of position-position laws, worked out.
 
 Two ends, each drawn to where the other was by K and K_d and damped by B_m and B_s in all,
 
@@ -44,7 +44,7 @@ def least_damping(K: float, K_d: float, round_trip: float, dt: float, own_m: flo
     K in N/m, K_d in N s/m, `round_trip` T1 + T2 and the tick `dt` in s; dt = 0 is continuous time.
     """
     leak = 0.5 * K * dt
-    p, q = (K_d - leak + (0.0 if isnan(own) else own) for own in (own_m, own_s))
+    p, q = (K_d - leak + (0.0 if isnan(damping) else damping) for damping in (own_m, own_s))
     R = strongest(K_d, 0.5 * K * (round_trip + dt))
     return max(sqrt(0.25 * (p - q) * (p - q) + R * R) - 0.5 * (p + q), 0.0)
 
@@ -83,26 +83,27 @@ def needed(facts: Facts, K: float, K_d: float) -> float | None:
 
 def conditions(name: str, facts: Facts, K: float, K_d: float, B: float, cure: str = "--set law.B={:g}"
                ) -> tuple[str, ...]:
-    """What of the condition a law breaks that injects B at both ends; `cure` is what to type for the least B."""
+    """Sentences on the condition where a law that injects B at both ends breaks it; `cure` sets the least B."""
     least = needed(facts, K, K_d)
     if least is None or facts.fwd is None or facts.bwd is None:
         return (f"{name} is passive up to a greatest delay, and one way no message was played: no damping is enough",)
-    told = []
+    sentences = []
     if K_d > 0.0 and varies(facts):
         longest = max(facts.fwd.greatest, facts.bwd.greatest)
-        told.append(f"{name} with a damper K_d = {K_d:g} N s/m over the link is passive for a constant delay without "
-                    f"loss alone, and what is played here is {_ages(facts)} s old{', some of it lost' * facts.lossy}: "
-                    f"take K_d = 0, that is --set law=p_d --set law.K={K:g} --set law.B="
-                    f"{_upwards(needed(facts, K, 0.0) or 0.0):g}, or without loss --set playout=fixed:{longest:g}")
+        sentences.append(
+            f"{name} with a damper K_d = {K_d:g} N s/m over the link is passive for a constant delay without "
+            f"loss alone, and what is played here is {_ages(facts)} s old{', some of it lost' * facts.lossy}: "
+            f"take K_d = 0, that is --set law=p_d --set law.K={K:g} --set law.B="
+            f"{_upwards(needed(facts, K, 0.0) or 0.0):g}, or without loss --set playout=fixed:{longest:g}")
     elif least > B * (1.0 + 1e-12):
-        own_m, own_s = (0.0 if isnan(own) else own for own in (facts.damping_m, facts.damping_s))
+        own_m, own_s = (0.0 if isnan(damping) else damping for damping in (facts.damping_m, facts.damping_s))
         what = "(K_d + B_m)(K_d + B_s) >= max (K_d cos phi - c sin phi/phi)^2, c = K (T1 + T2)/2"
         what = "4 B_m B_s >= K^2 (T1 + T2)^2" if K_d == 0.0 else what
-        told.append(f"{name} is passive where {what}, each T a tick longer than the age of what is played; with "
+        sentences.append(f"{name} is passive where {what}, each T a tick longer than the age of what is played; with "
                     f"B_m = {own_m + B:g}, B_s = {own_s + B:g} N s/m and T1 + T2 = "
                     f"{facts.fwd.greatest + facts.bwd.greatest + 2.0 * facts.dt:g} s it is not: "
                     f"{cure.format(_upwards(least))} is the least")
-    return tuple(told)
+    return tuple(sentences)
 
 
 def _ages(facts: Facts) -> str:

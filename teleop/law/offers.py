@@ -1,4 +1,4 @@
-"""What a law may offer beside its two ends: claims, the energy that it keeps, conditions, and what suits a scene.
+"""Offers of a law beside its two ends: claims, stored energy, conditions, and parameters that suit a scene.
 
     claims = {"E_link": "any link"}        ledger -> the links over which the law keeps it from going below zero
     master_stored(s), slave_stored(s)      J, what the state of an end keeps of energy
@@ -57,7 +57,7 @@ class AgeRange(NamedTuple):
 
 
 class Facts(NamedTuple):
-    """What a law's conditions depend on: the clock, the bodies and the link of a scene. SI units."""
+    """Facts on which a law's conditions depend: the clock, the bodies and the link of a scene. SI units."""
 
     dt: float
     axes: int
@@ -104,8 +104,8 @@ def seeds(law: Any, dt: float, axes: int) -> tuple[float, float]:
 
 def broken(law: Any, facts: Facts) -> list[str]:
     """Sentences on the conditions of a law that these facts break, those of its claims among them."""
-    own = getattr(law, "conditions", None)
-    return [*_claims_broken(law, facts), *(own(facts) if own is not None else ())]
+    conditions = getattr(law, "conditions", None)
+    return [*_claims_broken(law, facts), *(conditions(facts) if conditions is not None else ())]
 
 
 def enough(value: float, *, least: bool) -> str:
@@ -128,20 +128,20 @@ def _claims_broken(law: Any, facts: Facts) -> list[str]:
     has_waves = all(map(waves, messages(law, facts.dt)))
     varies = facts.lossy or any(way is not None and way.greatest > way.least + 0.5 * facts.dt
                                 for way in (facts.fwd, facts.bwd))
-    told = []
+    sentences = []
     for ledger, condition in claims_of(law).items():
         if has_waves and facts.playout in ("hold", "scaled"):
-            told.append("playout holds waves in the gaps, which is active: " + _may_fall(ledger))
+            sentences.append("playout holds waves in the gaps, which is active: " + _may_fall(ledger))
         elif has_waves and facts.playout == "energy" and facts.held > 1.5 * facts.dt:
-            told.append(f"playout energy plays short waves, which are held over the ticks that are left out: "
+            sentences.append(f"playout energy plays short waves, which are held over the ticks that are left out: "
                         f"{_may_fall(ledger)}; type --set playout=integral")
         elif condition == "zero in gaps" and facts.playout not in ("zero", "fixed"):
-            told.append(f"the law keeps {ledger} where waves are played as zero in gaps, and the playout is "
+            sentences.append(f"the law keeps {ledger} where waves are played as zero in gaps, and the playout is "
                         f"{facts.playout}: {_may_fall(ledger)}; type --set playout=zero")
         elif condition == "constant delay" and varies:
-            told.append(f"the law keeps {ledger} over a constant delay without loss, and this link varies: "
+            sentences.append(f"the law keeps {ledger} over a constant delay without loss, and this link varies: "
                         f"{_may_fall(ledger)}; type --set playout=fixed:SECONDS, as long as the longest delay")
-    return told
+    return sentences
 
 
 def _may_fall(ledger: str) -> str:

@@ -1,1 +1,1 @@
-"""One file is one law: both its ends, its messages, its source and what it claims about passivity."""
+"""Laws, one file each: both ends, the messages, the source, and the claims about passivity."""

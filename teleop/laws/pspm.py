@@ -139,11 +139,11 @@ def _greatest(facts: Facts) -> tuple[float, float, float]:
     return min(facts.mass_m, facts.mass_s) / (T * T), facts.mass_m / T, facts.mass_s / T
 
 
-def modulate(K: float, E_max: float, s: PSPMEnd, x: float, x_rx: float, came: float, over: PSPMSums) -> PSPMEnd:
-    """The end, its set point moved towards x_rx (m) as far as the energy goes; `came` (J): S of the newest message."""
+def modulate(K: float, E_max: float, s: PSPMEnd, x: float, x_rx: float, S_rx: float, over: PSPMSums) -> PSPMEnd:
+    """The end, its set point moved towards x_rx (m) as far as the energy goes; `S_rx` (J): S of the newest message."""
     T = s.T + over.w
     E = T - 0.5 * K * over.ee
-    T = T + min(came - s.seen, max(E_max - E, 0.0))
+    T = T + min(S_rx - s.seen, max(E_max - E, 0.0))
     go = sqrt(min(2.0 * max(T, 0.0) / max(K * over.aa, TINY), 1.0))  # the share of the way that the set point goes
     gives = max(T - 0.5 * K * (go * go * over.aa) - E_max, 0.0)
-    return PSPMEnd(x + go * (x_rx - x), T - gives, s.S + gives, came)
+    return PSPMEnd(x + go * (x_rx - x), T - gives, s.S + gives, S_rx)

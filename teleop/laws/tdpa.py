@@ -38,7 +38,7 @@ since the hold plays f_s half a tick late. No damping keeps h from going below z
 v_d/v between (beta - 1)/(beta + 1) and 1, down to -K dt^2 v^2/(2 (1 + beta)). So C counts what went into the coupling
 and has not come out of it, G pays what is missing, and (P - C - least h)+ of G is kept back when the slave spends:
 
-    C += max(asked, held) - f_held dx        G += min(C, 0)        C = min(C+, store + P)
+    C += max(desired, held) - f_held dx        G += min(C, 0)        C = min(C+, store + P)
 
 Books. Each G + E - seen grows by the work w, less what `store` drops. Summed, with under way the E not yet seen,
 
@@ -117,7 +117,7 @@ class TDPAMasterSums(NamedTuple):
 
 
 class TDPASlaveSums(NamedTuple):
-    asked: float  # work of the force that was asked for on the commanded point's way, over the last tick, J
+    desired: float  # work of the force that was asked for on the commanded point's way, over the last tick, J
     held: float  # of the force that was held, J
     out: float  # of the force that was held on the slave's own way, J
     P: float  # energy of the coupling's spring, J
@@ -196,7 +196,7 @@ class TDPA:
                          f_0 * f_0, off * off, at.v * at.v)
 
     def slave(self, s: TDPASlave, at: At, rx: Forth, over: TDPASlaveSums) -> tuple[float, Back, TDPASlave]:
-        spent = max(over.asked, over.held)
+        spent = max(over.desired, over.held)
         C = s.C + (spent - over.out)
         G, E = observe(s.G, s.E, rx.E - s.seen, min(C, 0.0) - spent, self.store + self.E0)
         C = min(max(C, 0.0), self.store + over.P)
@@ -207,15 +207,15 @@ class TDPA:
         worst = 0.5 * dt * over.vv * (K_dt * K_dt / (K_dt + 2.0 * self.B))  # of what the hold may give, J
         left = G - max(worst + over.P - C, 0.0)
         beyond = 1.0 - sqrt(min(max(over.ff * dt + 4.0 * z * left, 0.0) / max(over.cc * dt, TINY), 1.0))
-        beyond = max(beyond, (G < 0.0) * (over.held > over.asked + NEARLY * abs(over.asked)))
+        beyond = max(beyond, (G < 0.0) * (over.held > over.desired + NEARLY * abs(over.desired)))
         v_d = c - beyond * (c + 0.5 * f_0 / z)
         f_s = f_0 + z * v_d
         return f_s, Back(at.gain * f_s, E), TDPASlave(G, E, rx.E, x_d + dt * v_d, v_d, f_s, C)
 
 
-def observe(G: float, E: float, came: float, w: float, most: float) -> tuple[float, float]:
-    """What may be given out and what was taken in (J), after the work w and with what came of the other end's."""
-    G = min(G - max(-w, 0.0), most) + came
+def observe(G: float, E: float, arrived: float, w: float, most: float) -> tuple[float, float]:
+    """Energy that may be given out and energy taken in (J), after the work w and with the other end's `arrived`."""
+    G = min(G - max(-w, 0.0), most) + arrived
     paid = min(max(-G, 0.0), max(w, 0.0))
     return G + paid, E + (max(w, 0.0) - paid)
 

@@ -152,15 +152,15 @@ def even_share(facts: Facts) -> float:
     return min(facts.dt / max(delay, facts.dt), 1.0)
 
 
-def exchange(beta: float, H_max: float, s: Tank, came: float, w: float, ticks: float) -> tuple[float, float]:
+def exchange(beta: float, H_max: float, s: Tank, S_rx: float, w: float, ticks: float) -> tuple[float, float]:
     """Tank and energy sent (J) after the work w was done on it and all that came by now is in it."""
-    H = min(s.H + w + (came - s.seen), H_max)
+    H = min(s.H + w + (S_rx - s.seen), H_max)
     gives = min(beta * ticks, 1.0) * max(H, 0.0)
     return H - gives, s.S + gives
 
 
 def share(f_max: float, k: float, H: float, ff: float, vv: float, dt: float) -> float:
-    """What the tank H (J) pays for of a force, 0 to 1; ff and vv are the squares of force and velocity."""
+    """Share of a force that the tank H (J) pays for, 0 to 1; ff and vv are the squares of force and velocity."""
     left = max(H, 0.0)
     way = max(dt * dt * vv, SHORT)
     return sqrt(min(min(min(f_max * f_max, 2.0 * k * left) * way, left * left) / max(ff * way, TINY), 1.0))

@@ -146,7 +146,7 @@ class WavePrediction:
         """The slave's own mass and damping, where the model's differ from them by more than a fifth."""
         wanted = self.fitted(facts)
         pairs = (self.mass, wanted.mass), (self.damping, wanted.damping)
-        if all(abs(model - own) <= own / 5.0 for model, own in pairs):
+        if all(abs(model - real) <= real / 5.0 for model, real in pairs):
             return ()
         return (f"the prediction is worth little of a slave that is not the model: the model has {self.mass:g} kg and "
                 f"{self.damping:g} N s/m; set law.mass to {wanted.mass:g} and law.damping to {wanted.damping:g}",)

@@ -118,9 +118,9 @@ def scale_wave(g2: float, S: float, p: float, r: float, newest: float, fresh: bo
     """The scale, the energy that is left and the wave to play; `newest`: the last wave that came, `fresh`: just now."""
     gap = span - dt
     n = 1.0 * fresh
-    came = n * newest
+    arrived = n * newest
     g2 = g2 + span / (tau + span) * (max(n, 1.0 * (age > 1e300)) - g2)  # nothing is late before the first
-    S = S + gap * (0.5 * (r * r - p * p)) + dt * (0.5 * (came * came))
+    S = S + gap * (0.5 * (r * r - p * p)) + dt * (0.5 * (arrived * arrived))
     most = sqrt(2.0 * max(S, 0.0) / dt)
     p = max(-most, min(sqrt(g2) * newest, most))
-    return ScaledWave(g2, S - dt * (0.5 * (p * p)), p, came)
+    return ScaledWave(g2, S - dt * (0.5 * (p * p)), p, arrived)

@@ -33,10 +33,9 @@ from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.guard import Event
 from teleop.protocol.manifest import live_manifest, manifest_of
 from teleop.protocol.session import Session
-from teleop.scene.device_names import KINDS
-from teleop.scene.loading import live_knobs, load_scene
+from teleop.scene.catalogue import KINDS
+from teleop.scene.library import asks_for_trust, live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
-from teleop.scene.trust import asks_for_trust
 from teleop.simulation.result import Result
 from teleop.terminal import screen
 from teleop.terminal.options import (

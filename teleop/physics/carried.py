@@ -53,28 +53,28 @@ def carried(plant: Plant, path: Sequence[float], body: MassDamper, dt: float) ->
     is not finite, and a body with friction whose plant cannot be told the speed of what it touches.
     """
     number("dt", dt, above=0.0)
-    told = body.friction > 0.0
-    if told and len(signature(plant.move).parameters) < 6:
+    slides = body.friction > 0.0
+    if slides and len(signature(plant.move).parameters) < 6:
         raise Refused(f"a body with friction={body.friction:g} N is not followed in this environment while it moves: "
                       "friction is with the ground, not with what moves; write friction=0 or let it rest")
     if isinstance(path, Path):
-        return _along(plant, Carried(plant.c, path, Speeds(path, dt), body.damping, len(path) - 1), told)
+        return _along(plant, Carried(plant.c, path, Speeds(path, dt), body.damping, len(path) - 1), slides)
     places = list(path)
     if set(map(type, places)) != {float} or not all(map(isfinite, places)):
         places = [number(f"the path at tick {k}", place) for k, place in enumerate(places)]
     if not places:
         raise Refused("a path needs a place for each tick; write for example path=[0.0] for one that rests")
-    speeds = [0.0, *[(there - here) / dt for here, there in pairwise(places)], 0.0]
+    speeds = [0.0, *[(end - begin) / dt for begin, end in pairwise(places)], 0.0]
     if not all(map(isfinite, speeds)):
         raise Refused(f"the path moves faster than numbers go in ticks of dt={dt:g} s; check its units: m")
-    return _along(plant, Carried(plant.c, [*places, places[-1]], speeds, body.damping, len(places) - 1), told)
+    return _along(plant, Carried(plant.c, [*places, places[-1]], speeds, body.damping, len(places) - 1), slides)
 
 
-def _along(plant: Plant, c: Carried, told: bool) -> Plant:
+def _along(plant: Plant, c: Carried, slides: bool) -> Plant:
     if plant.start is None:
         return Plant(bound(move_carried, plant.move), bound(carried_force, plant.force), tuple(c), (0,))
     report = None if plant.report is None else partial(_report, plant.report)
-    move = move_carried_sliding if told else move_carried_inner
+    move = move_carried_sliding if slides else move_carried_inner
     return Plant(bound(move, plant.move), bound(carried_force_inner, plant.force), tuple(c), (0, *plant.start), report)
 
 
@@ -91,8 +91,8 @@ def at_rest(plant: Plant) -> Plant:
 
 
 def _report(report: Any, z: tuple[Any, ...]) -> Mapping[str, float]:
-    said: Mapping[str, float] = report(z[1:])
-    return said
+    entries: Mapping[str, float] = report(z[1:])
+    return entries
 
 
 def move_carried(move: Move, c: tuple[Any, ...], x: float, v: float, f: float, z: tuple[int]
@@ -118,8 +118,8 @@ def move_carried_inner(move: Move, c: tuple[Any, ...], x: float, v: float, f: fl
     still, path, speeds, b, last = c
     k = z[0] if z[0] < last else last
     s = speeds[k + 1]
-    y, w, truncated, own = move(still, x - path[k], v - s, f - b * s, z[1:])
-    return path[k + 1] + y, s + w, truncated, (k + 1, *own)
+    y, w, truncated, inner = move(still, x - path[k], v - s, f - b * s, z[1:])
+    return path[k + 1] + y, s + w, truncated, (k + 1, *inner)
 
 
 def move_carried_sliding(move: Move, c: tuple[Any, ...], x: float, v: float, f: float, z: tuple[Any, ...]
@@ -128,8 +128,8 @@ def move_carried_sliding(move: Move, c: tuple[Any, ...], x: float, v: float, f: 
     still, path, speeds, b, last = c
     k = z[0] if z[0] < last else last
     s = speeds[k + 1]
-    y, w, truncated, own = move(still, x - path[k], v - s, f - b * s, z[1:], s)
-    return path[k + 1] + y, s + w, truncated, (k + 1, *own)
+    y, w, truncated, inner = move(still, x - path[k], v - s, f - b * s, z[1:], s)
+    return path[k + 1] + y, s + w, truncated, (k + 1, *inner)
 
 
 def carried_force_inner(force: Force, c: tuple[Any, ...], x: float, v: float, z: tuple[Any, ...]) -> float:

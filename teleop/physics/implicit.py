@@ -130,8 +130,8 @@ def move_implicit(c: Any, x: float, v: float, f: float, z: Any, s: float = 0.0) 
         sure, p1, u1 = slides(part, kind, p, side * v, side * (f - f_slide), side * f_slide, side * s)
         if sure:
             return at + side * p1, side * u1, 0, z
-    kept = integrate(core, p, side * v, side * f, side * s, dt, tol, z[0])
-    return at + side * kept.p, side * kept.u + 0.0, 0, _after(z, kept.error, kept.substeps, kept.longest, tol)
+    step = integrate(core, p, side * v, side * f, side * s, dt, tol, z[0])
+    return at + side * step.p, side * step.u + 0.0, 0, _after(z, step.error, step.substeps, step.longest, tol)
 
 
 def slides(part: tuple[float, ...], kind: int, p: float, u: float, f: float, f_slide: float, s: float
@@ -200,8 +200,8 @@ def move_held(c: Any, x: float, v: float, f_m: float, r0: float, r1: float, z: A
     sure, y1, w1 = slides(part, BOND, y, w, f - f_slide, f_slide, s)
     if sure:
         return r1 + y1, s + w1, z
-    kept = integrate(core, y, w, f, s, dt, tol, z[0])
-    return r1 + kept.p, s + kept.u, _after(z, kept.error, kept.substeps, kept.longest, tol)
+    step = integrate(core, y, w, f, s, dt, tol, z[0])
+    return r1 + step.p, s + step.u, _after(z, step.error, step.substeps, step.longest, tol)
 
 
 def held_force(c: Any, x: float, v: float, f_held: float, r: float, slope: float, z: Any) -> float:  # noqa: ARG001

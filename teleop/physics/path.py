@@ -18,22 +18,22 @@ class Blocks:
 
     def __init__(self, sample: Sample) -> None:
         self._sample = sample
-        self._kept: dict[int, tuple[Sequence[float], ...]] = {}
+        self._blocks: dict[int, tuple[Sequence[float], ...]] = {}
 
     def at(self, axis: int, k: int) -> float:
         """The sample of one axis at tick k, at least 0."""
         number, place = divmod(k, BLOCK)
-        block = self._kept.get(number)
+        block = self._blocks.get(number)
         if block is None:
             block = self._sample(number * BLOCK, BLOCK)
-            if len(self._kept) > 1:  # one piece of the path has its ends in two blocks at most
-                self._kept.pop(min(self._kept) if number > max(self._kept) else max(self._kept))
-            self._kept[number] = block
+            if len(self._blocks) > 1:  # one piece of the path has its ends in two blocks at most
+                self._blocks.pop(min(self._blocks) if number > max(self._blocks) else max(self._blocks))
+            self._blocks[number] = block
         return block[axis][place]
 
 
 class Path(Sequence[float]):
-    """One axis of a path (m) at the ticks 0 .. count-1, read by tick; whoever goes on beyond finds the last place."""
+    """Axis of a path (m) at the ticks 0 .. count-1, read by tick; beyond them it stays at its last position."""
 
     def __init__(self, blocks: Blocks, axis: int, count: int) -> None:
         self._blocks, self._axis, self._count = blocks, axis, count

@@ -111,7 +111,7 @@ def _series(a: float, b: float, tau: float) -> tuple[float, float, float]:
 
 
 class LinearStep(NamedTuple):
-    """One step with the force held: `q1 = a11 q + a12 v + b1 f`, `v1 = a21 q + a22 v + b2 f`."""
+    """Step with the force held: `q1 = a11 q + a12 v + b1 f`, `v1 = a21 q + a22 v + b2 f`."""
 
     a11: float
     a12: float

@@ -36,7 +36,7 @@ UNITS = ((ONE, NONE, NONE), (NONE, ONE, NONE), (NONE, NONE, ONE))
 
 
 class Step3(NamedTuple):
-    """One step with the force held: `x1 = a11 x + a12 v + a13 z + b1 f`, then the same for v and z."""
+    """Step with the force held: `x1 = a11 x + a12 v + a13 z + b1 f`, then the same for v and z."""
 
     a11: float
     a12: float
@@ -63,13 +63,13 @@ def step3(m: float, c: Exact, k: float, g: Exact, h: Exact, tau: float, dt: floa
 
     Refused where an argument or an entry is not finite.
     """
-    given = (m, c, k, g, h, tau, dt)
+    numbers = (m, c, k, g, h, tau, dt)
     with localcontext(WIDE) as context:
-        _, p = _problem(given)
+        _, p = _problem(numbers)
         # No root of P is larger than twice the largest of |p2|, |p1|^(1/2), |p0|^(1/3) (Fujiwara, 1916).
         decades = 1 + max(0, *(-(-(p[3 - n].adjusted() + 1) // n) for n in (1, 2, 3) if p[3 - n] != 0))
         context.prec = 50 + 6 * decades
-        a, p = _problem(given)
+        a, p = _problem(numbers)
         psi = _psi(p, 4 * decades, context.prec)
         columns = [_times(a, _apply(psi, a, unit)) for unit in UNITS]
         held = _apply(psi, a, (NONE, a[0][1] / Decimal(m), NONE))
@@ -81,9 +81,9 @@ def step3(m: float, c: Exact, k: float, g: Exact, h: Exact, tau: float, dt: floa
     return Step3(*entries)
 
 
-def _problem(given: tuple[Exact, ...]) -> tuple[Matrix, Triple]:
+def _problem(numbers: tuple[Exact, ...]) -> tuple[Matrix, Triple]:
     """A, and P as the coefficients of 1, s, s^2 (that of s^3 is 1)."""
-    m, c, k, g, h, tau, t = map(Decimal, given)
+    m, c, k, g, h, tau, t = map(Decimal, numbers)
     spring, damper, branch, rate = k * t / m, c * t / m, g * t / m, t / tau
     a = ((NONE, t, NONE), (-spring, -damper, -branch), (NONE, h * rate, -rate))
     return a, (spring * t * rate, spring * t + damper * rate + branch * h * rate, damper + rate)

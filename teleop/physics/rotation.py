@@ -138,14 +138,14 @@ def sent_at(w: float, x: float, y: float, z: float, px: float, py: float, pz: fl
 
 def heard_at(w: float, x: float, y: float, z: float, rx: float, ry: float, rz: float,
              lx: float, ly: float, lz: float) -> Vector3:
-    """How far (rad) from q the quaternion exp(r) lies, see `log_twofold`."""
+    """Rotation vector (rad) from q to the quaternion exp(r), see `log_twofold`."""
     aw, ax, ay, az = exp(rx, ry, rz)
     bw, bx, by, bz = product(aw, ax, ay, az, w, -x, -y, -z)
     return log_twofold(bw, bx, by, bz, lx, ly, lz)
 
 
 def left_at(px: float, py: float, pz: float, dx: float, dy: float, dz: float) -> Vector3:
-    """How far (rad) an orientation lies that lay p from a body, once that has turned by d: log(exp(p) exp(-d)).
+    """Rotation vector (rad) to an orientation that lay p from a body, once that has turned by d: log(exp(p) exp(-d)).
 
     >>> left_at(1.0, 2.0, 3.0, 0.0, 0.0, 0.0)
     (1.0, 2.0, 3.0)

@@ -1,4 +1,4 @@
-"""What a device that tells its orientation reads on the three axes of a rotation."""
+"""Readings on the three axes of a rotation from a device that measures its orientation."""
 
 from __future__ import annotations
 

@@ -164,7 +164,7 @@ def _hunt_crossley(kt: float, n: float, lam: float, mass: float, drive: float, y
 
 
 def step(c: Core, p: float, u: float, f: float, s: float, h: float) -> tuple[float, float, float, float, int, int]:
-    """One step of SDIRK2: depth and speed after it, then acceleration and mode of each stage."""
+    """Step of SDIRK2: depth and speed after it, then acceleration and mode of each stage."""
     tau = GAMMA * h
     u1, mode1 = stage(c, p, u, tau, f, s)
     w = u + ON * (u1 - u)

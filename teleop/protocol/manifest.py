@@ -146,9 +146,9 @@ def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> s
 
 def _any_scenes() -> Iterable[str]:
     """The knobs that any scene takes: they are in a manifest where they were typed."""
-    from teleop.scene.wide import WIDE
+    from teleop.scene.knobs import COMMON
 
-    return WIDE
+    return COMMON
 
 
 def _law_difference(mine: str, theirs: str) -> tuple[str, str, str] | None:

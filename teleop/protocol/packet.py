@@ -27,7 +27,7 @@ from msgpack import Packer, unpackb
 
 from teleop.errors import Refused, number
 from teleop.kind import totals
-from teleop.scene.packet_size import CHECKSUM, FLOAT, HEAD, LEAST, MOST_DATA, least_size
+from teleop.scene.scene import CHECKSUM, FLOAT, HEAD, LEAST, MOST_DATA, least_size
 
 VERSION = 4
 MOST_CONTROL = 8192

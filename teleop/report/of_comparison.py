@@ -13,7 +13,7 @@ from teleop.report import svg
 from teleop.report.markup import STATUS, Markup, element, facts, table
 from teleop.report.page import FolderReport, Section, heading, made_by
 from teleop.report.scatter import Mark, Plane, Series, scatter
-from teleop.scene.axis_labels import SHAPES
+from teleop.scene.axes import SHAPES
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
 from teleop.storage.strict_json import Misshapen, parse

@@ -299,7 +299,8 @@ def curves(rows: Table, panels: Sequence[Panel], knobs: Sequence[PlottedKnob], m
             three = np.array([np.quantile(each, (0.25, 0.5, 0.75)) if len(each) else [np.nan] * 3 for each in groups])
             at = [float(value) for value in x.values] if x.numeric else [float(j) for j in range(len(x.values))]
             name = "" if by is None else f"{by.name} {text_of(by.values[place])}"
-            drawn_lines[-1].append((LINES[i % len(LINES)], name, at, three, sorted({*x.place[knob_values][~ok].tolist()})))
+            bad_places = sorted({*x.place[knob_values][~ok].tolist()})
+            drawn_lines[-1].append((LINES[i % len(LINES)], name, at, three, bad_places))
     every = np.concatenate([three.ravel() for lines in drawn_lines for *_, three, _ in lines] or [np.array([])])
     every = every[np.isfinite(every) & (np.abs(every) < 1e30)]
     kind, bend = spacing(every) if len(every) else ("linear", 0.0)

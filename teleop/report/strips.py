@@ -10,7 +10,7 @@ from teleop.report import svg
 from teleop.report.markup import Markup, element
 from teleop.report.scales import PlotAxis, around, thousands
 from teleop.report.svg import Line, line_of
-from teleop.scene.axis_labels import AxisLabels
+from teleop.scene.axes import AxisLabels
 from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
 from teleop.terminal.plotting import BLUE, DARK, GREEN, RED
 from teleop.terminal.run_plot import PANELS, TracePanel, axis_curves

@@ -1,4 +1,9 @@
-"""Names for the command line: scenes, laws, effects and velocity estimators, with the knobs of each."""
+"""Names for the command line: scenes, laws, effects, velocity estimators and devices, with the knobs of each.
+
+A package of yours offers a master's device by `[project.entry-points."teleop.devices"]`, `mine = "my_package:MyArm"`,
+and a slave's robot by the group `teleop.robots`. They are listed without being imported. What opens one by its name is
+`teleop.live.devices.opening`.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +20,18 @@ from teleop.knob import Declared, knobs_of_fields
 from teleop.law import BUILT_IN, find_law, known_laws
 from teleop.laws.around.names import EXAMPLES, STAGES
 from teleop.naming import known_places
-from teleop.scene.knobs import knobs_of, read_law
-from teleop.scene.library import ROOT, built_in_scenes, import_bundled, known_scenes, own_module, scene_function
-from teleop.scene.own_law import file_law, file_named, laws_in
-from teleop.scene.wide import WIDE
+from teleop.scene.knobs import COMMON, knobs_of, read_law
+from teleop.scene.library import (
+    ROOT,
+    built_in_scenes,
+    file_law,
+    file_named,
+    import_bundled,
+    known_scenes,
+    laws_in,
+    own_module,
+    scene_function,
+)
 from teleop.stages.velocity.named import ESTIMATORS
 
 
@@ -34,7 +47,7 @@ class Named(NamedTuple):
 
 
 def names() -> dict[str, dict[str, str]]:
-    """All names by their kind, each with its meaning; no scene or law of a plug-in is imported."""
+    """Names by their kind, each with its meaning; no scene or law of a plug-in is imported."""
     laws = known_laws()
     return {
         "scenes": {name: _scene_line(name) for name in known_scenes()},
@@ -63,26 +76,26 @@ def find(name: str) -> list[Named]:
         return [_law(name, type(read_law(name)))]
     if file_named(name):
         return _in_file(name)
-    found = []
+    entries = []
     if name in known_scenes():
-        found.append(_scene(name))
+        entries.append(_scene(name))
     if name in (laws := known_laws()):
-        found.append(_law(name, _load(laws[name])))
+        entries.append(_law(name, _load(laws[name])))
     if name in STAGES:
         stage = _load(STAGES[name])
         knobs = {f"{name}_{knob}": one for knob, one in knobs_of_fields(stage).items()}
-        found.append(Named("stage around a law", name, _line(stage), knobs,
+        entries.append(Named("stage around a law", name, _line(stage), knobs,
                            f"--set law='{EXAMPLES[name]} | wave' --set law.NAME=VALUE"))
     if name in (effects := _effects()):
         effect = _load(effects[name])
-        found.append(Named("effect", name, _line(effect), knobs_of_fields(effect), f"--link '{name}(NAME=VALUE)'"))
+        entries.append(Named("effect", name, _line(effect), knobs_of_fields(effect), f"--link '{name}(NAME=VALUE)'"))
     if name in (estimators := _estimators()):
         estimator = _load(estimators[name])
-        found.append(Named("velocity estimator", name, _line(estimator), knobs_of_fields(estimator),
+        entries.append(Named("velocity estimator", name, _line(estimator), knobs_of_fields(estimator),
                            f"--set 'velocity={name}(NAME=VALUE)' of a scene that has this knob"))
-    if not found:
+    if not entries:
         raise UnknownName(name, {*known_scenes(), *laws, *STAGES, *effects, *estimators})
-    return found
+    return entries
 
 
 def units_of(name: str, knobs: Sequence[str], law: type[Any] | None = None) -> dict[str, str]:
@@ -91,13 +104,13 @@ def units_of(name: str, knobs: Sequence[str], law: type[Any] | None = None) -> d
     `law`: its class; left out, the units are those of the built-in laws.
     """
     try:
-        found = dict(knobs_of(scene_function(name)))
+        knobs_by_name = dict(knobs_of(scene_function(name)))
     except Refused:  # the scene's file is gone, or is no scene any more
         return {}
     if any(knob.startswith("law.") for knob in knobs):
         laws: list[Any] = [find_law(each) for each in BUILT_IN] if law is None else [law] * is_dataclass(law)
-        found |= {f"law.{key}": each for one in laws for key, each in knobs_of_fields(one).items()}
-    return {key: each.knob.unit for key, each in {**WIDE, **found}.items() if each.knob.unit}
+        knobs_by_name |= {f"law.{key}": each for one in laws for key, each in knobs_of_fields(one).items()}
+    return {key: each.knob.unit for key, each in {**COMMON, **knobs_by_name}.items() if each.knob.unit}
 
 
 def _in_file(text: str) -> list[Named]:
@@ -106,10 +119,10 @@ def _in_file(text: str) -> list[Named]:
         return [_law(text, file_law(text))]
     module = own_module(Path(text), "a scene or a law", "give the path of a .py file with a scene or a law")
     laws = laws_in(text)
-    found = [_law(text if len(laws) == 1 else f"{text}:{name}", law) for name, law in laws.items()]
-    if callable(getattr(module, "scene", None)) or not found:
-        found.insert(0, _scene(text))
-    return found
+    knobs = [_law(text if len(laws) == 1 else f"{text}:{name}", law) for name, law in laws.items()]
+    if callable(getattr(module, "scene", None)) or not knobs:
+        knobs.insert(0, _scene(text))
+    return knobs
 
 
 def _scene(name: str) -> Named:
@@ -122,8 +135,8 @@ def _law(name: str, law: Any) -> Named:
 
 
 def _effects() -> Mapping[str, str]:
-    found: Mapping[str, str] = import_bundled("channel.link").known_effects()
-    return found
+    entries: Mapping[str, str] = import_bundled("channel.link").known_effects()
+    return entries
 
 
 def _estimators() -> dict[str, str]:
@@ -154,3 +167,52 @@ def _scene_line(name: str) -> str:
 def _load(where: str) -> Any:
     module, _, attribute = where.partition(":")
     return getattr(import_bundled(module) if module.startswith("channel.") else import_module(module), attribute)
+
+
+DEVICES = {  # of the master's end
+    "csv": "teleop.live.devices.csv_replay:replayed_device",
+    "gamepad": "teleop.live.devices.opening:gamepad",
+    "haply": "master.haply:Inverse3",
+    "pointer": "teleop.live.devices.opening:pointer",
+    "simulated": "master.device:SimulatedMaster",
+}
+ROBOTS = {  # of the slave's end
+    "csv": "teleop.live.devices.csv_replay:replayed_robot",
+    "mujoco": "slave.mujoco_robot:MuJoCoRobot",
+    "simulated": "slave.robot:SimulatedSlave",
+}
+
+
+class DeviceKind(NamedTuple):
+    """Kind of device at one end: its word, the option that names it, the group of entry points, the built-in ones."""
+
+    word: str
+    option: str
+    group: str
+    built_in: Mapping[str, str]  # "module:maker" by name
+
+
+KINDS = {
+    "m": DeviceKind("device", "--device", "teleop.devices", DEVICES),
+    "s": DeviceKind("robot", "--robot", "teleop.robots", ROBOTS),
+}
+
+
+def known_devices(e: str) -> dict[str, str]:
+    """Places of all that may stand at the end `e`, "m" or "s": `name -> "module:maker"`. None is imported."""
+    return dict(sorted(known_places(KINDS[e].group, KINDS[e].built_in).items()))
+
+
+def device_line(e: str, name: str, place: str) -> str:
+    """The first line of the docstring of a built-in maker, read from its file without importing it."""
+    if KINDS[e].built_in.get(name) != place:
+        return f"from a plug-in, {place}"
+    module, _, maker = place.partition(":")
+    file = ROOT.joinpath(*module.split(".")).with_suffix(".py")
+    if not file.is_file():
+        return ""
+    for node in ast.parse(file.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == maker:
+            return (ast.get_docstring(node) or "").partition("\n")[0]
+    return ""
+

@@ -106,7 +106,7 @@ FORMS = ("zero, hold, integral, integral:SECONDS of queue, energy, scaled:RATE, 
 
 
 def gaps_of(playout: Playout) -> Gaps:
-    """What a playout plays in gaps, and of waves at every tick."""
+    """Rule of a playout for gaps, and for waves at every tick."""
     return playout.gaps if isinstance(playout, Fixed) else playout
 
 

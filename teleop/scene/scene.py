@@ -1,15 +1,28 @@
-"""Scene: the parts of a run, with their checks. A part that is None is not imported, built, computed or recorded."""
+"""Scene: the parts of a run, with their checks. A part that is None is not imported, built, computed or recorded.
+
+A rotation is three successive axes, on which a law's positions stand for an orientation.
+
+    Scene(axes=6, names=("x", "y", "z", "rx", "ry", "rz"), rotations=(3,), ...)
+
+is a rigid body, of which x, y and z are in m and the rotation, on the axes 3, 4 and 5, is about those three directions
+in rad: its coordinates are integrals of the angular velocity, its forces are torques in N m. What an end makes of it is
+`teleop.stages.orientation`. In simulation a master and a slave have the same moment of inertia about each direction,
+since bodies move axis by axis: one that differs would be gyroscopic. The same law on all three axes is what gives the
+torque of a coupling a potential.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
+from struct import Struct
 from typing import TYPE_CHECKING, Any
 
 from teleop import kind
 from teleop.errors import Refused, number, number_of, whole_number
-from teleop.law import law_name, messages
+from teleop.kind import positions
+from teleop.law import law_name, messages, reads, start_at
 from teleop.law.contract import check_contract
 from teleop.scene.axes import (
     MOST_AXES,
@@ -21,9 +34,9 @@ from teleop.scene.axes import (
     distinct,
     parts_by_axis,
 )
-from teleop.scene.packet_size import least_size
 from teleop.scene.parts import (
     Environment,
+    Hand,
     LeftOutLike,
     LinkLike,
     Reference,
@@ -34,7 +47,6 @@ from teleop.scene.parts import (
     varies,
 )
 from teleop.scene.playout import Gaps, Integral, Playout, Zero, gaps_of, integrates
-from teleop.scene.rotations import check_rotations
 
 if TYPE_CHECKING:
     from teleop.physics.relaxing import ElectricalDamping
@@ -42,6 +54,77 @@ if TYPE_CHECKING:
     from teleop.stages.operator import Operator
     from teleop.stages.passivity_controller import PassivityController
     from teleop.stages.watchdog import Watchdog
+
+
+MOST_DATA = 1200  # bytes: below every MTU in use, so that a packet is never cut into fragments
+HEAD = Struct("!2sBBH")
+CHECKSUM = 4
+LEAST = HEAD.size + CHECKSUM
+FLOAT = 9  # msgpack's size of a float, and of an integer of 64 bits
+
+
+def least_size(width: int, *, energy: bool = True) -> int:
+    """The bytes that a DATA packet of `width` numbers needs at most; `energy`: E_in is sent along.
+
+    Bytes of UDP payload. Raises `Refused` if no packet can carry that many numbers.
+
+    >>> least_size(5, energy=False)
+    100
+    """
+    # The array, session, seq, sent_ns, echo, payload, and E_in or nil.
+    payload = (1 if width < 16 else 3) + width * FLOAT
+    body = 1 + FLOAT + 5 + FLOAT + (1 + 2 * FLOAT) + payload + (FLOAT if energy else 1)
+    if LEAST + body > MOST_DATA:
+        raise Refused(f"a packet carries at most {MOST_DATA} bytes, too few for {width} numbers; send fewer")
+    return LEAST + body
+
+
+BODY = "one moment of inertia and damping"
+ALIKE = {"law": "one law", "master": BODY, "slave": BODY, "scaling": "one scale of each kind"}
+
+
+def check_rotations(scene: Any) -> None:
+    """Refuse a scene whose rotations are not three axes each, whose law has no orientation, or whose parts differ."""
+    firsts = scene.rotations
+    whole = isinstance(firsts, tuple) and all(type(each) is int for each in firsts)
+    if not whole or any(b < a + 3 for a, b in zip((-3, *firsts), (*firsts, scene.axes), strict=True)):
+        raise Refused(f"rotations={firsts!r} must be the index of the first axis of each rotation, in order, with "
+                      f"three axes for each, and the scene has {number_of(scene.axes, 'axis', 'axes')}; write for "
+                      "example axes=6, rotations=(3,)")
+    if scene.slave is None:
+        raise Refused("a scene without a slave has no rotations, since its law renders on each axis by itself; leave "
+                      "them out, or write for example slave=MassDamper(mass=0.002)")
+    if why := without_orientation(scene.laws[0]):
+        raise Refused(f"law {law_name(scene.laws[0])} does not run on the axes of a rotation: {why}; take for example "
+                      "law=pp or law=wave, or leave rotations out")
+    for first in firsts:
+        names = axis_names(scene.names, scene.axes)[first:first + 3]
+        if any(unit != "rad" for unit in scene.axis_units[first:first + 3]):
+            raise Refused(f"the axes {', '.join(names)} are those of a rotation, and their unit is rad, not "
+                          f"{', '.join(scene.axis_units[first:first + 3])}; leave units out, or write rad for them")
+        for part, one in ALIKE.items():
+            parts = scene.per_axis(part)[first:first + 3]
+            if any(each != parts[0] for each in parts):
+                raise Refused(f"the axes {', '.join(names)} are those of a rotation, which has {one} for all three, "
+                              f"and the {part} of one differs; give the three the same {part}")
+
+
+def without_orientation(law: Any) -> str:
+    """Why a law with two ends does not run on the axes of a rotation; empty if it does."""
+    kind_of_law: Any = type(law)
+    while kind_of_law is not None:
+        for each in (vars(kind_of_law).get("stage"), kind_of_law):
+            if why := getattr(each, "no_rotation", ""):
+                return str(why)
+        kind_of_law = vars(kind_of_law).get("inner_law")
+    still = start_at(0.0, 0.0, 0.0, 1e-3)
+    types = [*messages(law), *[type(getattr(law, f"{e}_start")(still)[0]) for e in ("master", "slave")]]
+    if any(positions(each) for each in types if hasattr(each, "_fields")):
+        return ""
+    if "x" in reads(law.master) | reads(law.slave):
+        return "it reads positions, and declares none of its messages or its state as one, as x: kind.Position does"
+    return ""
+
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
 PARTS = ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling",
@@ -84,7 +167,7 @@ class Scene:
     axes: int = 1
     names: tuple[str, ...] = ()  # of the axes; none: see `axis_names`
     units: tuple[str, ...] = ()  # of the axes, m or rad; none: m, and rad where they are a rotation's
-    rotations: tuple[int, ...] = ()  # the first axis of each rotation, of three: see `teleop.scene.rotations`
+    rotations: tuple[int, ...] = ()  # the first axis of each rotation, of three: see `teleop.scene.scene`
     start_m: Vector = 0.0  # where the master starts, at rest, m
     start_s: Vector = 0.0  # where the slave starts, at rest, m
     dt: float = 1e-3
@@ -199,14 +282,14 @@ class Scene:
 
     def _check_deadband(self) -> None:
         """Refuse a deadband whose silence would be taken for a peer that is gone, or for waves that are zero."""
-        own = self.deadband
-        if own is None:
+        band = self.deadband
+        if band is None:
             return
         timeout = None if self.watchdog is None else getattr(self.watchdog, "timeout", None)
-        if timeout is not None and (own.keep_alive is None or own.keep_alive >= timeout):
-            keep = "never" if own.keep_alive is None else f"after {own.keep_alive:g} s"
+        if timeout is not None and (band.keep_alive is None or band.keep_alive >= timeout):
+            keep = "never" if band.keep_alive is None else f"after {band.keep_alive:g} s"
             raise Refused(f"the deadband sends {keep} without a change, and the watchdog lets go after {timeout:g} s "
-                          f"without a message; write for example Deadband(k={own.k:g}, keep_alive={0.2 * timeout:g})")
+                          f"without a message; write for example Deadband(k={band.k:g}, keep_alive={0.2 * timeout:g})")
         if self.has_waves and isinstance(self.wave_playout, Zero):
             raise Refused("a deadband leaves gaps between the waves that it sends, and playout zero plays nothing in "
                           "them: the force would be a pulse for each message; write playout=integral, or leave the "
@@ -280,9 +363,9 @@ class Scene:
 
     def leaves_out(self, e: str) -> LeftOutLike | None:
         """The ticks that the end `e` leaves out: the scene's own, or those that its link brings along; None: none."""
-        own: LeftOutLike | None = self.left_out_m if e == "m" else self.left_out_s
-        bring = None if own is not None else getattr(self.link, "leaves_out", None)
-        return own if bring is None else bring(0 if e == "m" else 1, self.dt_ns)
+        skipped: LeftOutLike | None = self.left_out_m if e == "m" else self.left_out_s
+        bring = None if skipped is not None else getattr(self.link, "leaves_out", None)
+        return skipped if bring is None else bring(0 if e == "m" else 1, self.dt_ns)
 
     def vector(self, name: str, value: Vector) -> tuple[float, ...]:
         """`value` for each axis; a number means along the first, the others stay 0."""
@@ -330,7 +413,7 @@ class Scene:
 
     @property
     def wave_playout(self) -> Gaps | None:
-        """What is played of waves; None where the law's messages have none."""
+        """Rule by which waves are played; None where the law's messages have none."""
         return gaps_of(self.played_as) if self.has_waves else None
 
 
@@ -339,11 +422,46 @@ def both_ends(scene: Scene) -> Scene:
     if scene.slave is None:
         raise Refused(f"scene {scene.name} has no slave, so it has no link and no second end; run it in virtual time: "
                       f"teleop run {scene.name}")
-    own = scene.deadband
-    if own is not None and (own.keep_alive is None or own.keep_alive > 0.1):
+    deadband = scene.deadband
+    if deadband is not None and (deadband.keep_alive is None or deadband.keep_alive > 0.1):
         raise Refused("a live end takes a peer that is silent for long to be gone, so its deadband sends every 0.1 s "
-                      f"at least: write for example Deadband(k={own.k:g}, keep_alive=0.01)")
+                      f"at least: write for example Deadband(k={deadband.k:g}, keep_alive=0.01)")
     if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         raise Refused("ticks are left out by order in virtual time alone; a live end leaves out those that it cannot "
                       "run in time: leave left_out away (of a recorded link write left_out=False), or type teleop run")
     return scene
+
+
+def on_axis(scene: Scene, i: int) -> Scene:
+    """The scene of one axis alone, that with index i, with its own parts, its name and its unit.
+
+    Its hand follows the reference of that axis. What couples the axes of the scene is not in it.
+    """
+    if scene.axes == 1:
+        return scene
+    parts: dict[str, Any] = {name: scene.per_axis(name)[i] for name in PER_AXIS if getattr(scene, name) is not None}
+    if parts.get("hand") is not None:
+        parts["hand"] = OwnGrip(parts["hand"], OneAxis(scene.reference, scene.axes, i))  # type: ignore[arg-type]  # there is one
+    for name in ("start_m", "start_s"):
+        parts[name] = scene.vector(name, getattr(scene, name))[i]
+    return replace(scene, axes=1, rotations=(), names=(scene.axis_names[i],), units=(scene.axis_units[i],),
+                   packet_size=None, **parts)
+
+
+class OneAxis:
+    """A reference of several axes along one of them, the one with index i."""
+
+    def __init__(self, reference: Reference, axes: int, i: int) -> None:
+        self.reference, self.axes, self.i = reference, axes, i
+
+    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[Sequence[float], ...]:
+        """The position of that axis at the ticks 0 .. count-1, in m or rad; `axes` is 1."""
+        return (self.reference.samples(self.axes, count, dt_ns)[self.i],)
+
+
+class OwnGrip:
+    """A hand's mass, stiffness and damping with another reference."""
+
+    def __init__(self, hand: Hand, reference: Reference) -> None:
+        self.mass, self.k, self.d, self.reference = hand.mass, hand.k, hand.d, reference
+

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import number_of, plural
 from teleop.law.contract import not_finite
-from teleop.scene.axes import scales
-from teleop.scene.axis_labels import labels_of
+from teleop.scene.axes import labels_of, scales
 from teleop.scene.playout import Playout, as_typed
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies

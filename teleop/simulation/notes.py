@@ -11,7 +11,7 @@ from typing import Any
 from teleop.errors import enumerated, number_of
 from teleop.law import innermost, law_name
 from teleop.law.offers import AgeRange, Facts, broken
-from teleop.scene.axis_labels import told_along
+from teleop.scene.axes import told_along
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero, as_typed, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import LinkPlans, Packets, link_plans

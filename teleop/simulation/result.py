@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from teleop.errors import Refused
-from teleop.scene.axis_labels import AxisLabels, labels_in, labels_of
+from teleop.scene.axes import AxisLabels, labels_in, labels_of
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS, finite, worked_out
 from teleop.simulation.plan import Packets

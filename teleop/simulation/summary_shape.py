@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from teleop.scene.axis_labels import SHAPES
+from teleop.scene.axes import SHAPES
 from teleop.scene.scene import MOST_TICKS
 from teleop.simulation.plan import Packets
 from teleop.storage.strict_json import (

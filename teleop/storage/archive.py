@@ -81,13 +81,13 @@ def _parts(archive: ZipFile, file: BinaryIO) -> list[tuple[str, ZipInfo]]:
         raise Misshapen(f"it has {len(parts)} arrays, more than {MOST_ARRAYS}")
     if whole > max(size, INFLATED):
         raise Misshapen(f"its {size} bytes would inflate to {whole}")
-    found: dict[str, ZipInfo] = {}
+    parts_by_name: dict[str, ZipInfo] = {}
     for part in parts:
         name = _NAME.fullmatch(part.filename)
-        if name is None or name[1] in found or part.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+        if name is None or name[1] in parts_by_name or part.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
             raise Misshapen(f"{part.filename[:80]!r} in it is no array of its own")
-        found[name[1]] = part
-    return [*found.items()]
+        parts_by_name[name[1]] = part
+    return [*parts_by_name.items()]
 
 
 def _head(stream: IO[bytes], part: ZipInfo, name: str, rows: int) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

@@ -45,7 +45,7 @@ def open_regular(path: str | os.PathLike[str], *, links: bool = True) -> BinaryI
 
 
 def read_bytes(path: str | os.PathLike[str], *, most: int = MOST, links: bool = True) -> bytes:
-    """All bytes of the regular file at `path`, at most `most` of them. Raises `OSError`, as `open_regular` does."""
+    """Read all bytes of the regular file at `path`, at most `most`. Raises `OSError`, as `open_regular` does."""
     with open_regular(path, links=links) as file:
         size, data = os.fstat(file.fileno()).st_size, bytearray()
         while size <= most and len(data) <= most and (block := file.read(_BLOCK)):  # it may grow meanwhile
@@ -124,9 +124,9 @@ def _new_beside(path: Path) -> tuple[Path, BinaryIO]:
     raise FileExistsError(errno.EEXIST, f"{_ATTEMPTS} unfinished files are in the way", str(path))
 
 
-def _check_regular(found: os.stat_result, path: str | os.PathLike[str]) -> None:
-    if not stat.S_ISREG(found.st_mode):
-        kind = next((text for is_kind, text in _KINDS if is_kind(found.st_mode)), "no regular file")
+def _check_regular(status: os.stat_result, path: str | os.PathLike[str]) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = next((text for is_kind, text in _KINDS if is_kind(status.st_mode)), "no regular file")
         raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))
 
 

@@ -81,8 +81,8 @@ def claim(out: Path | str | None, stem: str = "run") -> Claim:
             if out is None:
                 continue
             unfinished = (path / PART).is_dir()
-            there = "already" + ", not whole: another process writes it, or was killed while it did" * unfinished
-            raise Refused(f"{path} is there {there}; give another folder with --out, or remove it") from None
+            state = "already" + ", not whole: another process writes it, or was killed while it did" * unfinished
+            raise Refused(f"{path} is there {state}; give another folder with --out, or remove it") from None
         except (OSError, ValueError) as error:  # ValueError: a name with a null byte, or with half a surrogate pair
             why = getattr(error, "strerror", None) or error
             raise Refused(f"cannot write to {path} ({why}); give a folder you may write to with --out") from error
@@ -202,5 +202,5 @@ def lock(held: int, *, shared: bool) -> bool:
 
 
 def _identity(path: Path) -> tuple[int, int]:
-    found = path.lstat()
-    return found.st_dev, found.st_ino
+    status = path.lstat()
+    return status.st_dev, status.st_ino

@@ -127,7 +127,7 @@ def between(low: float, high: float) -> Check:
 
 
 def one_of(*values: str) -> Check:
-    """One of these texts."""
+    """Text out of these."""
     def check(value: object, name: str) -> None:
         if type(value) is not str or value not in values:
             _wrong(value, name, " or ".join(values))
@@ -145,7 +145,7 @@ def optional(inner: Check) -> Check:
 
 
 def either(*several: Check) -> Check:
-    """What one of these takes; the last says what is wrong."""
+    """Value that passes one of these checks; the last says what is wrong."""
     def check(value: object, name: str) -> None:
         for option in several[:-1]:
             try:

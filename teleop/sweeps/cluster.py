@@ -19,8 +19,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
-from teleop.scene.library import ROOT, beside
-from teleop.scene.own_law import file_named
+from teleop.scene.library import ROOT, beside, file_named
 from teleop.storage.files import read_bytes
 
 if TYPE_CHECKING:

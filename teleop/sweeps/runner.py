@@ -16,11 +16,9 @@ from typing import Any
 
 from teleop.errors import Refused, nearest
 from teleop.law import is_built_in
-from teleop.scene.knobs import check_text, knobs_of
-from teleop.scene.library import OwnFile, own_file, scene_function
-from teleop.scene.loading import load_scene
+from teleop.scene.knobs import check_text, knobs_of, read_link
+from teleop.scene.library import OwnFile, load_scene, own_file, scene_function
 from teleop.scene.scene import Scene
-from teleop.scene.wide import read_link
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import ChunkResult, Job, work
 from teleop.sweeps.engine import Measure, choose

@@ -15,12 +15,10 @@ from teleop.kind import kinds
 from teleop.knob import Declared, Knob
 from teleop.law import BUILT_IN, find_law, known_laws, messages
 from teleop.law.offers import CONDITIONS, claims_of, seed_energy, stores
-from teleop.scene.catalogue import Named, UnknownName, find, names
-from teleop.scene.device_names import KINDS, device_line, known_devices
-from teleop.scene.library import ROOT
-from teleop.scene.loading import load_scene
+from teleop.scene.catalogue import KINDS, Named, UnknownName, device_line, find, known_devices, names
+from teleop.scene.knobs import COMMON
+from teleop.scene.library import ROOT, load_scene
 from teleop.scene.playout import Playout
-from teleop.scene.wide import WIDE
 from teleop.simulation.notes import unmet
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import si
@@ -169,7 +167,7 @@ def _text(entry: Named) -> str:
         words, _ = law_words(entry.made)
         lines += ["", "what it sends, claims and keeps", *words] if words else []
     if entry.kind == "scene":
-        common = {name: one for name, one in WIDE.items() if name not in entry.knobs}
+        common = {name: one for name, one in COMMON.items() if name not in entry.knobs}
         lines += ["", "knobs of every scene, beside --seed N, which keys every random draw of the link",
                   _aligned(_knob_rows(common)), "  set with: --set NAME=VALUE"]
     return "\n".join(lines)
@@ -183,7 +181,7 @@ def _document(entry: Named) -> dict[str, Any]:
 
         document |= law_words(entry.made)[1]
     if entry.kind == "scene":
-        document["of_every_scene"] = [_knob(name, one) for name, one in WIDE.items() if name not in entry.knobs]
+        document["of_every_scene"] = [_knob(name, one) for name, one in COMMON.items() if name not in entry.knobs]
     return document
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from teleop.errors import Refused, enumerated, nearest, number
-from teleop.scene.axis_labels import AxisLabels, unit_on
+from teleop.scene.axes import AxisLabels, unit_on
 
 DONE, FAULT, WRONG, FORCED, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes; FORCED: a device's force may still be on
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from teleop.errors import Refused
-from teleop.scene.loading import load_scene
+from teleop.scene.library import load_scene
 from teleop.simulation.result import RUNNING, Result
 from teleop.simulation.source import rendered
 from teleop.simulation.virtual import run

@@ -5,7 +5,7 @@ from __future__ import annotations
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.scene.axis_labels import unit_on
+from teleop.scene.axes import unit_on
 from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
 from teleop.terminal.plotting import BLUE, DARK, GREEN, PNG, RED, UNDER, grid_lines, literal, new_figure, save
 from teleop.terminal.run_table import heading, verdict
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from teleop.scene.axis_labels import AxisLabels
+    from teleop.scene.axes import AxisLabels
     from teleop.simulation.result import Result
 
 BINS = 400  # at most, of equal length, along the time axis: each is about two pixels wide

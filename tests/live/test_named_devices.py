@@ -11,7 +11,7 @@ from slave.robot import SimulatedSlave
 from teleop import Reading, Refused, load_scene
 from teleop.__main__ import main
 from teleop.live.devices.opening import find_device
-from teleop.scene.device_names import KINDS, device_line
+from teleop.scene.catalogue import KINDS, device_line
 
 SCENE = load_scene("hard_wall", duration=0.1)
 OWN = """

@@ -9,8 +9,7 @@ import pytest
 
 from teleop import load_scene
 from teleop.kind import kinds, wave, waves
-from teleop.scene.library import own_module
-from teleop.scene.own_law import file_law
+from teleop.scene.library import file_law, own_module
 
 MESSAGES = '''
 from collections import namedtuple

@@ -67,8 +67,8 @@ class BilateralRobot(Robot):  # type: ignore[misc]  # as above
         """There is nothing to configure."""
 
     def get_observation(self) -> dict[str, Any]:
-        told = now(self._newest, self.config.patience)
-        return {**told, **{name: camera.async_read() for name, camera in self.cameras.items()}}
+        state = now(self._newest, self.config.patience)
+        return {**state, **{name: camera.async_read() for name, camera in self.cameras.items()}}
 
     def send_action(self, action: dict[str, float]) -> dict[str, float]:
         """Nothing is sent: the slave does this already, by the law."""

@@ -30,18 +30,18 @@ class NewestRow:
         self.e, self.axes, self.columns = e, axes, (f"x_{e}", f"v_{e}", force)
         self.over = False
         self._run = GrowingRun(Path(folder))
-        self._told: dict[str, float] | None = None
-        self._came = time.monotonic()
+        self._state: dict[str, float] | None = None
+        self._received = time.monotonic()
 
     def wait(self, seconds: float) -> bool:
         """Wait for the first row; False: none came."""
         until = time.monotonic() + seconds
         while self.read() is None and time.monotonic() < until:
             time.sleep(0.01)
-        return self._told is not None
+        return self._state is not None
 
     def read(self) -> dict[str, float] | None:
-        """What its newest row tells; None: there is no row yet."""
+        """State by its newest row; None: there is no row yet."""
         row = None
         while not self._run.over and (some := self._run.take(MOST)):
             for each in some:
@@ -49,30 +49,30 @@ class NewestRow:
                     row = each
         self.over = self._run.over
         if row is not None:
-            self._told, self._came = self._of(row.end, row.rows[-1], row.shift_ns), time.monotonic()
-        return self._told
+            self._state, self._received = self._of(row.end, row.rows[-1], row.shift_ns), time.monotonic()
+        return self._state
 
     @property
     def silence(self) -> float:
         """Seconds since a row came."""
-        return time.monotonic() - self._came
+        return time.monotonic() - self._received
 
     def close(self) -> None:
         """Let go of the records."""
         self._run.close()
 
     def _of(self, end: Any, row: tuple[float, ...], shift_ns: int) -> dict[str, float]:
-        at, found = 3, {}  # behind the tick, its lateness and the packet played
+        at, values = 3, {}  # behind the tick, its lateness and the packet played
         for one in end.fields:
-            found[one.name] = row[at : at + one.axes]
+            values[one.name] = row[at : at + one.axes]
             at += one.axes
-        missing = [name for name in self.columns if name not in found]
+        missing = [name for name in self.columns if name not in values]
         if missing:
-            raise Refused(f"the run records no {missing[0]}; give another force, one of {', '.join(found)}")
-        if len(found[self.columns[0]]) != len(self.axes):
-            raise Refused(f"the run has {len(found[self.columns[0]])} axes, and {len(self.axes)} are named: "
+            raise Refused(f"the run records no {missing[0]}; give another force, one of {', '.join(values)}")
+        if len(values[self.columns[0]]) != len(self.axes):
+            raise Refused(f"the run has {len(values[self.columns[0]])} axes, and {len(self.axes)} are named: "
                           f"{', '.join(self.axes)}; name each in axes")
-        out = {axis + suffix: found[name][i] for i, axis in enumerate(self.axes)
+        out = {axis + suffix: values[name][i] for i, axis in enumerate(self.axes)
                for suffix, name in zip(self.SUFFIXES, self.columns, strict=True)}
         whole, rest = divmod(int(row[0]) * end.header["dt_ns"] + shift_ns, 10**9)
         return {**out, "time.whole": float(whole), "time.rest": rest / 1e9}
@@ -157,10 +157,10 @@ def following(run: str, e: str, config: Any) -> NewestRow:
 
 
 def now(newest: NewestRow | None, patience: float) -> dict[str, float]:
-    """What the newest row tells. Raises `DeviceNotConnectedError` once the run is over, or says nothing any more."""
-    told = None if newest is None else newest.read()
-    if newest is None or told is None:
+    """State by the newest row. Raises `DeviceNotConnectedError` once the run is over or silent."""
+    state = None if newest is None else newest.read()
+    if newest is None or state is None:
         raise DeviceNotConnectedError("it is not connected; call connect() first")
     if newest.over or newest.silence > patience:
         raise DeviceNotConnectedError("the run is over" if newest.over else f"no row came for {patience:g} s")
-    return told
+    return state

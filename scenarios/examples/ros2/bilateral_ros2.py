@@ -39,7 +39,7 @@ class Joints:
                               f"as {namespace},joint1,joint2")
         self.watchdog = DeviceWatchdog(  # a controller of ros2_control holds the last effort for ever
             open="scenarios.examples.ros2.bilateral_ros2:zeroing", arguments=(namespace, str(scene.axes)))
-        self._sign, self._clock, self._came = sign, clock, -STALE
+        self._sign, self._clock, self._received = sign, clock, -STALE
         self._newest: Any = None
         self._node = node("bilateral_end")
         self._node.create_subscription(JointState, f"{namespace}/joint_states", self._take, NEWEST)
@@ -49,18 +49,18 @@ class Joints:
         self._topic = f"{namespace}/joint_states"
 
     def read(self, k: int) -> Reading:
-        """Where the joints are, and how fast, by the newest message."""
+        """Read positions and velocities of the joints from the newest message."""
         self._executor.spin_once(timeout_sec=0.0)
-        if self._newest is None or self._clock() - self._came > STALE:
+        if self._newest is None or self._clock() - self._received > STALE:
             raise DeviceError(f"no joint state came on {self._topic} for {STALE:g} s; is the arm's driver running, in "
                               "this ROS_DOMAIN_ID?")
-        names, told = list(self._newest.name), self._newest
+        names, message = list(self._newest.name), self._newest
         missing = [joint for joint in self._joints if joint not in names]
-        if missing or not len(names) == len(told.position) == len(told.velocity):
+        if missing or not len(names) == len(message.position) == len(message.velocity):
             raise DeviceError(f"{self._topic} tells no position and velocity of {', '.join(missing or self._joints)}, "
                               f"but names {', '.join(names)}; name its joints behind the namespace")
         at = [names.index(joint) for joint in self._joints]
-        return Reading(tuple([told.position[i] for i in at]), tuple([told.velocity[i] for i in at]))
+        return Reading(tuple([message.position[i] for i in at]), tuple([message.velocity[i] for i in at]))
 
     def hold(self, force: tuple[float, ...]) -> None:
         """Tell the efforts, N m or N."""
@@ -71,7 +71,7 @@ class Joints:
         self._node.destroy_node()
 
     def _take(self, message: Any) -> None:
-        self._newest, self._came = message, self._clock()
+        self._newest, self._received = message, self._clock()
 
 
 class Published:
@@ -117,7 +117,7 @@ def simulated(scene: Scene, namespace: str) -> Published:
 
 
 def zeroing(namespace: str, axes: str) -> Callable[[], None]:
-    """What the watchdog process calls when the end is silent or gone."""
+    """Set the force to zero: the watchdog process calls this when the end is silent or gone."""
     publisher = node("bilateral_watchdog").create_publisher(Float64MultiArray, f"{namespace}/commands", CERTAIN)
     return lambda: publisher.publish(Float64MultiArray(data=[0.0] * int(axes)))
 

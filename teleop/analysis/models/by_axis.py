@@ -13,7 +13,7 @@ from teleop.analysis.models.linear import with_linear_law
 from teleop.errors import Refused, nearest
 from teleop.law import law_name
 from teleop.scene.axes import PER_AXIS
-from teleop.scene.one_axis import on_axis
+from teleop.scene.scene import on_axis
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene

@@ -25,7 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from teleop.scene.axis_labels import labels_of
+from teleop.scene.axes import labels_of
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import DISTURBED, STEPS, WINDOWS, disturbed, encoder_step, pitch, places, swings, trend

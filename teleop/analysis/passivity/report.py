@@ -10,7 +10,7 @@ from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_po
 from teleop.analysis.passivity.one_port import RenderedImpedance, one_port
 from teleop.errors import Refused
 from teleop.law.analysis_offers import instead
-from teleop.scene.axis_labels import labels_of, told_along, unit_on
+from teleop.scene.axes import labels_of, told_along, unit_on
 from teleop.terminal.answer import WithUnit, finite, scene_head, titled, with_units
 from teleop.terminal.options import typed_range
 from teleop.terminal.table import facts, si

@@ -9,7 +9,7 @@ from teleop.analysis.precision.contenders import TOLERANCES
 from teleop.analysis.precision.measure import SUBSTEPS
 from teleop.analysis.precision.report import axis_of
 from teleop.errors import number_of
-from teleop.scene.axis_labels import told_along, unit_on
+from teleop.scene.axes import told_along, unit_on
 from teleop.terminal.plotting import (
     BLACK,
     BLUE,

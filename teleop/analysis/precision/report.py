@@ -11,7 +11,7 @@ from teleop.analysis.precision.contenders import there
 from teleop.analysis.precision.measure import EULER, FASTER
 from teleop.analysis.precision.reference.deviation import SERIES
 from teleop.errors import number_of
-from teleop.scene.axis_labels import labels_of, told_along, unit_on
+from teleop.scene.axes import labels_of, told_along, unit_on
 from teleop.terminal.answer import WithUnit, finite, scene_head, with_units
 from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts, si

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.scene.axis_labels import labels_of, unit_on
+from teleop.scene.axes import labels_of, unit_on
 from teleop.terminal.answer import WithUnit, finite, scene_head, titled, with_units
 from teleop.terminal.table import columns, facts
 

@@ -34,7 +34,7 @@ _KINDS = {"wave": "kind.Wave", "total": "kind.Total", "sample": "float", "positi
 
 
 class InnerEnd(NamedTuple):
-    """One end of the law that a stage stands around."""
+    """End of the law that a stage stands around."""
 
     name: str  # "master" or "slave"
     state: Mapping[str, str] | None  # the kind of each field of its state; None where the state is ()
@@ -44,7 +44,7 @@ class InnerEnd(NamedTuple):
 
 
 class EndLines(NamedTuple):
-    """What a stage does at one end, in lines of Python over `self`, `s`, `at`, `rx` and `over`.
+    """Work of a stage at one end, as lines of Python over `self`, `s`, `at`, `rx` and `over`.
 
     `before` comes before the law's own lines and may change `at`; after them `f` is the law's force and `tx_NAME` each
     field of its message, and `after` may change these. A field of the stage's own has a local variable of its name once
@@ -75,9 +75,9 @@ class Around(Protocol):
 
 def compose(stage: Any, law: Any) -> Any:
     """The law with one stage around it. Raises `Refused` for a law that has not two ends."""
-    own = {f"{stage.name}_{field.name}": getattr(stage, field.name) for field in fields(stage)}
-    kept = {field.name: getattr(law, field.name) for field in fields(law)} if is_dataclass(law) else {}
-    return composed_class(type(stage), law)(**kept, **own)
+    of_stage = {f"{stage.name}_{field.name}": getattr(stage, field.name) for field in fields(stage)}
+    of_law = {field.name: getattr(law, field.name) for field in fields(law)} if is_dataclass(law) else {}
+    return composed_class(type(stage), law)(**of_law, **of_stage)
 
 
 def composed_class(stage: Any, law: Any) -> Any:
@@ -85,7 +85,7 @@ def composed_class(stage: Any, law: Any) -> Any:
     made = _MADE.get((stage, type(law)))
     if made is None:
         _check_law(stage, law)
-        made = _MADE[stage, type(law)] = _made(stage, law)
+        made = _MADE[stage, type(law)] = _build_class(stage, law)
     return made
 
 
@@ -119,14 +119,14 @@ def _check_law(stage: Any, law: Any) -> None:
 
 def stages_of(kind_of_law: type[Any]) -> list[Any]:
     """The stages around a law, the outermost first; none of a law that stands alone."""
-    found = []
+    stages = []
     while (inner := vars(kind_of_law).get("inner_law")) is not None:
-        found.append(vars(kind_of_law)["stage"])
+        stages.append(vars(kind_of_law)["stage"])
         kind_of_law = inner
-    return found
+    return stages
 
 
-def _made(stage: Any, law: Any) -> Any:
+def _build_class(stage: Any, law: Any) -> Any:
     kind_of_law = type(law)
     ends = {name: _inner_end(law, name) for name in ENDS}
     lines = {name: stage.lines(end) for name, end in ends.items()}
@@ -147,8 +147,8 @@ def _inner_end(law: Any, name: str) -> InnerEnd:
     s, heard = getattr(law, f"{name}_start")(still)
     sent = getattr(law, f"{ENDS[name]}_start")(still)[1]
     sums = getattr(law, f"{name}_sums", None)
-    kept = kind.kinds(type(s)) if hasattr(s, "_fields") else None
-    return InnerEnd(name, kept, kind.kinds(type(sent)), kind.kinds(type(heard)),
+    state = kind.kinds(type(s)) if hasattr(s, "_fields") else None
+    return InnerEnd(name, state, kind.kinds(type(sent)), kind.kinds(type(heard)),
                     None if sums is None else sums(s, still, heard)._fields)
 
 
@@ -156,23 +156,23 @@ def _inner_end(law: Any, name: str) -> InnerEnd:
 
 def _messages_of(law: Any) -> dict[str, Any]:
     """The types of the law's states, messages and sums by the names that the text gives them."""
-    still, found = start_at(0.0, 0.0, 0.0, 1e-3), {}
-    for name, other in ENDS.items():
+    still, types = start_at(0.0, 0.0, 0.0, 1e-3), {}
+    for name, peer in ENDS.items():
         s, heard = getattr(law, f"{name}_start")(still)
-        found[f"Inner_{name}_state"], found[f"Inner_{other}_sent"] = type(s), type(heard)
+        types[f"Inner_{name}_state"], types[f"Inner_{peer}_sent"] = type(s), type(heard)
         if hasattr(law, f"{name}_sums"):
-            found[f"Inner_{name}_sums"] = type(getattr(law, f"{name}_sums")(s, still, heard))
-    return found
+            types[f"Inner_{name}_sums"] = type(getattr(law, f"{name}_sums")(s, still, heard))
+    return types
 
 
 def _check_names(stage: Any, kind_of_law: Any, ends: Mapping[str, InnerEnd], lines: Mapping[str, EndLines]) -> None:
     """Refuse a law that has names of the stage's own."""
-    own = {f"{stage.name}_{field.name}" for field in fields(stage)}
+    of_stage = {f"{stage.name}_{field.name}" for field in fields(stage)}
     taken = {field.name for field in fields(kind_of_law)}
     for name, end in ends.items():
-        own |= {*lines[name].state, *lines[name].sends, *lines[name].sums}
+        of_stage |= {*lines[name].state, *lines[name].sends, *lines[name].sums}
         taken |= {*(end.state or ()), *end.sends, *(end.sums or ())}
-    if clash := sorted(own & taken):
+    if clash := sorted(of_stage & taken):
         raise Refused(f"law {name_of_law(kind_of_law)} has a field {clash[0]}, which is one of the stage {stage.name} "
                       "around it; give it another name in the law's file")
 
@@ -181,17 +181,18 @@ def _types(ends: Mapping[str, InnerEnd], lines: Mapping[str, EndLines], words: d
     """The text of the states, messages and sums that are not the law's own."""
     text = ["from dataclasses import dataclass", "from typing import ClassVar, NamedTuple", ""]
     for name, end in ends.items():
-        own = lines[name]
+        stage_lines = lines[name]
         state = {field: _KINDS[each] for field, each in (end.state or {}).items()}
-        state |= {field: _KINDS["position" if field in own.positions else "sample"] for field in own.state}
+        state |= {field: _KINDS["position" if field in stage_lines.positions else "sample"]
+                  for field in stage_lines.state}
         text += _named_tuple(f"State_{name}", state) if state else []
-        if own.sends:
-            sends = {**end.sends, **{field: of_kind for field, (of_kind, _) in own.sends.items()}}
+        if stage_lines.sends:
+            sends = {**end.sends, **{field: of_kind for field, (of_kind, _) in stage_lines.sends.items()}}
             text += _named_tuple(f"Sent_{name}", {field: _KINDS[each] for field, each in sends.items()})
         else:  # the message is the law's own
             words[f"Sent_{name}"] = words[f"Inner_{name}_sent"]
-        if end.sums is not None or own.sums:
-            text += _named_tuple(f"Sums_{name}", dict.fromkeys((*(end.sums or ()), *own.sums), "float"))
+        if end.sums is not None or stage_lines.sums:
+            text += _named_tuple(f"Sums_{name}", dict.fromkeys((*(end.sums or ()), *stage_lines.sums), "float"))
     for name in ENDS:
         for method in (f"{name}_start", name, f"{name}_sums", f"{name}_stored"):
             function = getattr(type(law), method, None)
@@ -215,9 +216,9 @@ def _class(stage: Any, law: Any, ends: Mapping[str, InnerEnd], lines: Mapping[st
             f"    {_doc(stage, kind_of_law)!r}"]
     of_law = {field.name: field for field in fields(kind_of_law)}
     of_stage = {f"{stage.name}_{field.name}": field for field in fields(stage)}
-    for name, found in known.items():
+    for name, declaration in known.items():
         field = of_law.get(name) or of_stage[name]
-        words[f"type_{name}"] = _annotation(found)
+        words[f"type_{name}"] = _annotation(declaration)
         words[f"default_{name}"] = field.default
         text.append(f"    {name}: type_{name}" + (f" = default_{name}" if field.default is not MISSING else ""))
     words["claims"] = stage.claims_of(getattr(law, "claims", {}))
@@ -239,47 +240,48 @@ def _class(stage: Any, law: Any, ends: Mapping[str, InnerEnd], lines: Mapping[st
     return text
 
 
-def _end_text(end: InnerEnd, own: EndLines, other: InnerEnd, others: EndLines, law: Any) -> list[str]:
+def _end_text(end: InnerEnd, stage_lines: EndLines, peer: InnerEnd, peer_lines: EndLines, law: Any) -> list[str]:
     """The text of one end's methods."""
     name = end.name
     inner_state = "()" if end.state is None else f"Inner_{name}_state({_of('s', end.state)})"
-    heard = f"Inner_{other.name}_sent({_of('rx', other.sends)})" if others.sends else "rx"
-    starts = [*[f"own.{field}" for field in end.state or ()], *own.state.values()]
+    heard = f"Inner_{peer.name}_sent({_of('rx', peer.sends)})" if peer_lines.sends else "rx"
+    starts = [*[f"own.{field}" for field in end.state or ()], *stage_lines.state.values()]
     state = f"State_{name}({', '.join(starts)})" if starts else "()"
-    known = [first for _, first in others.sends.values()]
-    first = f"Sent_{other.name}({_of('rx', other.sends, *known)})" if known else "rx"
+    known = [first for _, first in peer_lines.sends.values()]
+    first = f"Sent_{peer.name}({_of('rx', peer.sends, *known)})" if known else "rx"
     text = [f"    def {name}_start(self, at):", f"        own, rx = inner_{name}_start(self, at)",
             f"        return {state}, {first}", ""]
-    coupled = end.sums is not None or own.sums
+    coupled = end.sums is not None or stage_lines.sums
     if coupled:
-        text += [f"    def {name}_sums(self, s, at, rx):", *[f"        {line}" for line in own.before]]
+        text += [f"    def {name}_sums(self, s, at, rx):", *[f"        {line}" for line in stage_lines.before]]
         if end.sums is not None:
             text += [f"        own = inner_{name}_sums(self, {inner_state}, at, {heard})"]
-        shares = ", ".join([*[f"own.{field}" for field in end.sums or ()], *own.sums.values()])
+        shares = ", ".join([*[f"own.{field}" for field in end.sums or ()], *stage_lines.sums.values()])
         text += [f"        return Sums_{name}({shares})", ""]
     over = f", Inner_{name}_sums({_of('over', end.sums)})" if end.sums is not None else ""
     text += [f"    def {name}(self, s, at, rx{', over' if coupled else ''}):",
-             *[f"        {line}" for line in own.before],
+             *[f"        {line}" for line in stage_lines.before],
              f"        f, tx, own = inner_{name}(self, {inner_state}, at, {heard}{over})",
-             *[f"        tx_{field} = tx.{field}" for field in end.sends], *[f"        {line}" for line in own.after]]
-    sent = ", ".join([*[f"tx_{field}" for field in end.sends], *own.sends])
-    after = ", ".join([*[f"own.{field}" for field in end.state or ()], *own.state])
+             *[f"        tx_{field} = tx.{field}" for field in end.sends],
+             *[f"        {line}" for line in stage_lines.after]]
+    sent = ", ".join([*[f"tx_{field}" for field in end.sends], *stage_lines.sends])
+    after = ", ".join([*[f"own.{field}" for field in end.state or ()], *stage_lines.state])
     text += [f"        return f, Sent_{name}({sent}), {f'State_{name}({after})' if after else '()'}", ""]
-    if own.stored:
-        text += [f"    def {name}_stored(self, s):", f"        return {own.stored}", ""]
+    if stage_lines.stored:
+        text += [f"    def {name}_stored(self, s):", f"        return {stage_lines.stored}", ""]
     elif hasattr(law, f"{name}_stored"):
         text += [f"    def {name}_stored(self, s):", f"        return inner_{name}_stored(self, {inner_state})", ""]
     return text
 
 
-def _of(thing: str, names: Any, *more: str) -> str:
-    return ", ".join([*[f"{thing}.{name}" for name in names or ()], *more])
+def _of(thing: str, names: Any, *last: str) -> str:
+    return ", ".join([*[f"{thing}.{name}" for name in names or ()], *last])
 
 
-def _annotation(found: Any) -> Any:
+def _annotation(declaration: Any) -> Any:
     from typing import Annotated
 
-    return Annotated[found.kind, found.knob]
+    return Annotated[declaration.kind, declaration.knob]
 
 
 def _doc(stage: Any, kind_of_law: type[Any]) -> str:
@@ -314,11 +316,11 @@ def _again(law: Any) -> tuple[Any, ...]:
 
 
 def _conditions(law: Any, facts: Any) -> tuple[str, ...]:
-    inner, own = inner_of(law), getattr(type(law).stage, "conditions_of", None)
+    inner, of_stage = inner_of(law), getattr(type(law).stage, "conditions_of", None)
     seen = getattr(type(law).stage, "facts_of", None)
     of_inner = facts if seen is None else seen(law, facts)
-    said: tuple[str, ...] = tuple(inner.conditions(of_inner)) if hasattr(inner, "conditions") else ()
-    return said if own is None else tuple(own(law, said, facts))
+    sentences: tuple[str, ...] = tuple(inner.conditions(of_inner)) if hasattr(inner, "conditions") else ()
+    return sentences if of_stage is None else tuple(of_stage(law, sentences, facts))
 
 
 def _fitted(law: Any, facts: Any) -> Any:

@@ -108,5 +108,5 @@ class DeadbandWrapper:
 
     @classmethod
     def claims_of(cls, claims: Any) -> Any:
-        """Those of the law but `E_port`."""
+        """Claims of the law but `E_port`."""
         return {ledger: condition for ledger, condition in claims.items() if ledger != "E_port"}

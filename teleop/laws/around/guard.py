@@ -49,10 +49,10 @@ TINY = 1e-30  # m/s: below this a velocity is none
 
 def let_through(g: float, v: float, level: float, axes: float, dt: float, k: float, alpha: float, v_min: float,
                 drag: float) -> float:
-    """What is let through of a force that drives a device (N), of an account of `level` J, see the head of the file."""
-    there = max(level, 0.0) / axes
-    most = sqrt(2.0 * k * there)
-    drive = min(most, there / (dt * max(abs(v), TINY)))
+    """Force (N) that an account of `level` J lets through to drive a device; see the head of the file."""
+    energy = max(level, 0.0) / axes
+    most = sqrt(2.0 * k * energy)
+    drive = min(most, energy / (dt * max(abs(v), TINY)))
     brake = max(most, alpha * abs(v))
     ahead, astern = (v > 0.0) * 1.0, (v < 0.0) * 1.0
     rest = (1.0 - ahead - astern) * most
@@ -109,14 +109,14 @@ class GuardWrapper:
         return {"let_through": let_through, "master_damper": master_damper}
 
     @classmethod
-    def conditions_of(cls, law: Any, said: tuple[str, ...], facts: Facts) -> tuple[str, ...]:
-        """Those of the law, and for each end whether its body is heavy enough for the guard's damper."""
-        told = [f"the damper of the guard takes energy at the {end} where alpha <= m/T, T the longest tick, which "
+    def conditions_of(cls, law: Any, sentences: tuple[str, ...], facts: Facts) -> tuple[str, ...]:
+        """Conditions of the law, and for each end one on its mass, for the guard's damper."""
+        added = [f"the damper of the guard takes energy at the {end} where alpha <= m/T, T the longest tick, which "
                 f"alpha = {law.guard_alpha:g} N s/m is not; --set law.guard_alpha="
                 f"{enough(mass / facts.held, least=False)} is the most"
                 for end, mass in (("master", facts.mass_m), ("slave", facts.mass_s))
                 if law.guard_alpha * facts.held > mass]
-        return (*said, *told)
+        return (*sentences, *added)
 
     @classmethod
     def claims_of(cls, claims: Any) -> Any:  # noqa: ARG003 - those of the law are of a force that is not held

@@ -46,12 +46,12 @@ def law_text(text: str) -> LawText:
     if len(text) > _LONGEST:
         raise Refused(f"a law is a text of at most {_LONGEST} characters; {_FORM}")
     *stages, law = [part.strip() for part in _parted(text)]
-    found = _CALL.fullmatch(law)
-    if not law or not all(stages) or found is None:
+    call = _CALL.fullmatch(law)
+    if not law or not all(stages) or call is None:
         raise Refused(f"the law {text[:80]!r} cannot be read: {unreadable(text, SyntaxError())}; {_FORM}")
-    if found["name"] in STAGES and found["name"] not in BUILT_IN:
-        raise Refused(f"the stage {found['name']} stands before a law, and {text[:80]!r} ends with it; {_FORM}")
-    return LawText(tuple(stages), found["name"], found["arguments"] or "")
+    if call["name"] in STAGES and call["name"] not in BUILT_IN:
+        raise Refused(f"the stage {call['name']} stands before a law, and {text[:80]!r} ends with it; {_FORM}")
+    return LawText(tuple(stages), call["name"], call["arguments"] or "")
 
 
 def around(stages: str, law: Any) -> Any:

@@ -71,23 +71,23 @@ class VirtualCouplingWrapper:
         """At the master: the tool, and what the law is told of it; at the slave nothing."""
         if end.name == "slave":
             return EndLines()
-        own = "virtual_coupling"
+        vc = "virtual_coupling"
         before = (
-            f"{own}_y = s.{own}_y + (1.0 - at.gain) * (at.x - s.{own}_y)",
-            f"{own}_u = tool_velocity({own}_y, s.{own}_u, s.{own}_net, at.x, at.v, self.{own}_mass, "
-            f"self.{own}_damping, self.{own}_K, self.{own}_B, at.span)",
-            f"{own}_y = {own}_y + at.span * {own}_u",
-            f"{own}_f = self.{own}_K * (at.x - {own}_y) + self.{own}_B * (at.v - {own}_u)",
-            f"at = At({own}_y, {own}_u, {own}_f, s.{own}_net, {own}_y - s.{own}_y, at.fresh, at.age, at.dt, at.span, "
+            f"{vc}_y = s.{vc}_y + (1.0 - at.gain) * (at.x - s.{vc}_y)",
+            f"{vc}_u = tool_velocity({vc}_y, s.{vc}_u, s.{vc}_net, at.x, at.v, self.{vc}_mass, "
+            f"self.{vc}_damping, self.{vc}_K, self.{vc}_B, at.span)",
+            f"{vc}_y = {vc}_y + at.span * {vc}_u",
+            f"{vc}_f = self.{vc}_K * (at.x - {vc}_y) + self.{vc}_B * (at.v - {vc}_u)",
+            f"at = At({vc}_y, {vc}_u, {vc}_f, s.{vc}_net, {vc}_y - s.{vc}_y, at.fresh, at.age, at.dt, at.span, "
             "1.0)",
         )
-        after = (f"{own}_net = f", f"f = {own}_f")
-        state = {f"{own}_y": "at.x - at.dt * at.v", f"{own}_u": "at.v", f"{own}_net": "0.0"}  # a tick before the first
+        after = (f"{vc}_net = f", f"f = {vc}_f")
+        state = {f"{vc}_y": "at.x - at.dt * at.v", f"{vc}_u": "at.v", f"{vc}_net": "0.0"}  # a tick before the first
         return EndLines(state=state, before=before, after=after)
 
     @classmethod
     def words(cls) -> Mapping[str, Any]:
-        """What the lines name."""
+        """Functions and types that the lines name."""
         return {"tool_velocity": tool_velocity, "At": At}
 
     @classmethod
@@ -97,19 +97,19 @@ class VirtualCouplingWrapper:
 
     @classmethod
     def facts_of(cls, law: Any, facts: Facts) -> Facts:
-        """What the law's own conditions depend on: the tool in place of the master."""
+        """Facts for the law's own conditions: the tool in place of the master."""
         return facts._replace(mass_m=law.virtual_coupling_mass, damping_m=law.virtual_coupling_damping)
 
     @classmethod
-    def conditions_of(cls, law: Any, said: tuple[str, ...], facts: Facts) -> tuple[str, ...]:
+    def conditions_of(cls, law: Any, texts: tuple[str, ...], facts: Facts) -> tuple[str, ...]:
         """The law's own, and that of the device."""
-        K, B, own = law.virtual_coupling_K, law.virtual_coupling_B, facts.damping_m
+        K, B, damping = law.virtual_coupling_K, law.virtual_coupling_B, facts.damping_m
         least, leak = 0.5 * K * facts.dt + B, 0.5 * K * facts.dt
-        if not own < least:
-            return said
+        if not damping < least:
+            return texts
         begins = (f"a device is passive at the virtual coupling where its damping is at least K dt/2 + B = {least:.4g} "
-                  f"N s/m, and the master has {own:.4g}")
-        if own > leak:
-            return (*said, f"{begins}; --set law.virtual_coupling_B={enough(own - leak, least=False)} is the most")
-        most = enough(2.0 * own / facts.dt, least=False)
-        return (*said, f"{begins}; --set law.virtual_coupling_K={most} --set law.virtual_coupling_B=0 are the most")
+                  f"N s/m, and the master has {damping:.4g}")
+        if damping > leak:
+            return (*texts, f"{begins}; --set law.virtual_coupling_B={enough(damping - leak, least=False)} is the most")
+        most = enough(2.0 * damping / facts.dt, least=False)
+        return (*texts, f"{begins}; --set law.virtual_coupling_K={most} --set law.virtual_coupling_B=0 are the most")

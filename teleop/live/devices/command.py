@@ -10,8 +10,8 @@ from teleop.errors import number_of
 from teleop.live.devices.checking import DeviceCheck, check_device
 from teleop.live.devices.judging import DeviceFault, Mistake
 from teleop.scene.axes import FORCE_UNIT
-from teleop.scene.device_names import KINDS
-from teleop.scene.loading import load_scene
+from teleop.scene.catalogue import KINDS
+from teleop.scene.library import load_scene
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import FAULT, FORCED, knobs_from
 

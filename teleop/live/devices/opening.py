@@ -1,6 +1,6 @@
 """Devices and robots as they are typed, `NAME`, `NAME:ARGUMENT` or `FILE.py:CLASS`, and how a live end opens them.
 
-A name is one of `teleop.scene.device_names`. A file with one device needs no class. The device is made by
+A name is one of `teleop.scene.catalogue`. A file with one device needs no class. The device is made by
 `make(scene)`, or with an argument by `make(scene, argument)`. Its author's first mistake is refused with a sentence.
 """
 
@@ -18,9 +18,8 @@ from teleop.errors import DeviceError, Refused, enumerated, nearest, number
 from teleop.live.devices.device_watchdog import DeviceWatchdog
 from teleop.live.devices.guarded_device import LiveDevice
 from teleop.naming import find
-from teleop.scene.device_names import KINDS, known_devices
-from teleop.scene.library import own_module, prefer_bundled
-from teleop.scene.loading import load_scene
+from teleop.scene.catalogue import KINDS, known_devices
+from teleop.scene.library import load_scene, own_module, prefer_bundled
 from teleop.scene.scene import Scene, both_ends
 
 METHODS = {"read": "k", "hold": "force"}  # and what each is called with

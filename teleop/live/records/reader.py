@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.protocol.manifest import MOST_EVERY
-from teleop.scene.axes import MOST_AXES
-from teleop.scene.axis_labels import SHAPES
+from teleop.scene.axes import MOST_AXES, SHAPES
 from teleop.scene.library import own_file
 from teleop.scene.scene import MOST_TICKS, Scene
 from teleop.simulation.structure import SENSED, columns

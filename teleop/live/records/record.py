@@ -22,7 +22,7 @@ from teleop.live.records.reader import (
     law_entry,
 )
 from teleop.protocol.guard import Event
-from teleop.scene.axis_labels import labels_of
+from teleop.scene.axes import labels_of
 from teleop.scene.scene import Scene
 from teleop.simulation.summary_shape import EVENT
 from teleop.simulation.trace import ForceSource

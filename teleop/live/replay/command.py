@@ -14,11 +14,9 @@ from teleop.live.records.end_result import NAMES
 from teleop.live.records.reader import FILE, read_record
 from teleop.live.records.record import are_strangers
 from teleop.live.replay.rerun import Difference, EndFolder, OpenLoopForces, command_open_loop, difference, read_end
-from teleop.scene.axes import FORCE_UNIT
-from teleop.scene.axis_labels import labels_of
-from teleop.scene.loading import load_scene
+from teleop.scene.axes import FORCE_UNIT, labels_of
+from teleop.scene.library import load_scene, stored_scene
 from teleop.scene.scene import Scene
-from teleop.scene.trust import stored_scene
 from teleop.simulation.result import write_arrays
 from teleop.storage.files import replacing
 from teleop.storage.folder import new_folder

@@ -17,7 +17,7 @@ from textwrap import wrap
 from typing import Any, NamedTuple
 
 from teleop.errors import enumerated, number_of
-from teleop.scene.axis_labels import TURNING, AxisLabels
+from teleop.scene.axes import TURNING, AxisLabels
 from teleop.studies.compare.cases import Case
 from teleop.terminal.answer import WithUnit
 from teleop.terminal.table import columns, printable

@@ -157,9 +157,8 @@ def words_of(told: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str
 def knob_units(told: Mapping[str, Any], table: Table, *, trust: bool) -> dict[str, str]:
     """The units of knobs and metrics of a sweep; of the scene of a user's own, whose file is run for it, only with
     `trust`. A metric over axes in m and in rad has none."""
-    from teleop.scene.axis_labels import labels_of
-    from teleop.scene.library import known_scenes
-    from teleop.scene.loading import load_scene
+    from teleop.scene.axes import labels_of
+    from teleop.scene.library import known_scenes, load_scene
     from teleop.simulation.metrics import UNITS
 
     name = str(told["scene"])

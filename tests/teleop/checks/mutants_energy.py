@@ -85,9 +85,9 @@ def _by_velocity(self: TwoLayer, s: Any, at: At, rx: Any) -> Any:  # noqa: ARG00
 
 
 TWO_LAYER = (
-    mutant(TwoLayer, "QuantaOfEnergy", exchanged=_quantum, master_stored=_own_stored, slave_stored=_own_stored),
-    mutant(TwoLayer, "KeepsWhatItSends", exchanged=_kept),
-    mutant(TwoLayer, "ForgivesItsDebt", exchanged=_forgiven),
+    mutant(TwoLayer, "QuantaOfEnergy", exchange=_quantum, master_stored=_own_stored, slave_stored=_own_stored),
+    mutant(TwoLayer, "KeepsWhatItSends", exchange=_kept),
+    mutant(TwoLayer, "ForgivesItsDebt", exchange=_forgiven),
     mutant(TwoLayer, "PaysForNothing", share=_all_of_it),
     mutant(TwoLayer, "AskedForByTheMaster", master_start=_asked_tank, master_sums=_asked_work, master=_asked),
     mutant(TwoLayer, "SlaveOfTheOtherSign", slave_sums=_wrong_sign),
@@ -135,13 +135,13 @@ def _damped(bound: str) -> dict[str, Any]:
 PSPM_WRONG = (
     mutant(PSPM, "DamperByVelocity", **_damped("v")),
     mutant(PSPM, "DamperByMotion", **_damped("dx")),
-    mutant(PSPM, "QuantaOfEnergy", modulated=_modulated(taken="quanta"), master_stored=_own_kept,
+    mutant(PSPM, "QuantaOfEnergy", modulate=_modulated(taken="quanta"), master_stored=_own_kept,
            slave_stored=_own_kept),
-    mutant(PSPM, "TakenAndSentOn", modulated=_modulated(taken="all, and the rest sent on")),
-    mutant(PSPM, "SpringCountedTwice", modulated=_modulated(radius="spring twice")),
-    mutant(PSPM, "MovesForNothing", modulated=_modulated(radius="free")),
+    mutant(PSPM, "TakenAndSentOn", modulate=_modulated(taken="all, and the rest sent on")),
+    mutant(PSPM, "SpringCountedTwice", modulate=_modulated(radius="spring twice")),
+    mutant(PSPM, "MovesForNothing", modulate=_modulated(radius="free")),
     mutant(PSPM, "ForgivesItsDebt", {"E_0": 1e-4, "E_max": 0.0, "B_m": 0.2, "B_s": 1.0},
-           modulated=_modulated(debt="forgiven")),
+           modulate=_modulated(debt="forgiven")),
 )
 
 
@@ -190,7 +190,7 @@ def _capped(self: TDPA, s: Any, at: At, rx: Any, over: Any) -> Any:
 
 def _rigid(self: TDPA, s: Any, at: At, rx: Any, over: Any) -> Any:
     """The command is scaled by what there is over the power that the force of now would have."""
-    spent = max(over.asked, over.held)
+    spent = max(over.desired, over.held)
     C = s.C + spent - over.out
     G, E = tdpa.observe(s.G, s.E, rx.E - s.seen, min(C, 0.0) - spent, self.store + self.E0)
     x_d, f_0, c = tdpa.commanded(self.K, self.B, self.drift, s.x_d + at.dx * (1.0 - at.dt / at.span), at.x, at.v,
@@ -205,8 +205,8 @@ def _booked(which: str) -> Any:
     def sums(self: TDPA, s: Any, at: At, rx: Any) -> Any:
         own = TDPA.slave_sums(self, s, at, rx)
         if which == "asked":
-            return own._replace(held=own.asked, out=s.f_d * at.dx)
-        return own._replace(asked=-own.held, held=-own.asked, out=-own.out)
+            return own._replace(held=own.desired, out=s.f_d * at.dx)
+        return own._replace(desired=-own.held, held=-own.desired, out=-own.out)
 
     return sums
 
@@ -230,12 +230,12 @@ def _asked_master(self: TDPA, s: Any, at: At, rx: Any, over: Any) -> Any:
     return f_m, forth, AskedMaster(*after, f_m)
 
 
-QUANTA = mutant(TDPA, "Quanta", observed=_observed(sent="quanta"))
+QUANTA = mutant(TDPA, "Quanta", observe=_observed(sent="quanta"))
 TDPA_WRONG = (
     mutant(TDPA, "OneDamperWithACap", master=_capped),
     mutant(TDPA, "ForceThatDoesNotChange", slave=_rigid),
-    mutant(TDPA, "ToldTwice", observed=_observed(told="twice")),
-    mutant(TDPA, "ForgivesItsDebt", observed=_observed(debt="forgiven")),
+    mutant(TDPA, "ToldTwice", observe=_observed(told="twice")),
+    mutant(TDPA, "ForgivesItsDebt", observe=_observed(debt="forgiven")),
     mutant(TDPA, "QuantaOfEnergy", master=_master_of_quanta, slave=_slave_of_quanta, master_stored=_own_left,
            slave_stored=_own_left),
     mutant(TDPA, "SlaveOfTheOtherSign", slave_sums=_booked("sign")),

@@ -26,7 +26,7 @@ from teleop import (
     run,
     sweep,
 )
-from teleop.scene.one_axis import on_axis
+from teleop.scene.scene import on_axis
 from tests.teleop.scene import unlike as own_file
 from tests.teleop.scene.unlike import GAINS, LAWS, MASSES, unlike
 

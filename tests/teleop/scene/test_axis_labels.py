@@ -16,7 +16,7 @@ from teleop.export.stored import all_fields, read_parts
 from teleop.export.stream import GrowingEnd
 from teleop.live.records.reader import FILE, read_header
 from teleop.live.records.record import RecordWriter
-from teleop.scene.axis_labels import AxisLabels, labels_of
+from teleop.scene.axes import AxisLabels, labels_of
 from teleop.storage.strict_json import Misshapen
 from tests.teleop.scene.unlike import unlike
 

@@ -13,8 +13,7 @@ from teleop.laws.pp import PositionPosition
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.scene.one_axis import on_axis
-from teleop.scene.rotations import without_orientation
+from teleop.scene.scene import on_axis, without_orientation
 from tests.teleop.stages.tumbling import tumbling
 
 

@@ -14,9 +14,9 @@ import teleop
 from channel.link import EFFECTS
 from teleop import PFRA, Refused, Scaling, Scene, Wave, find_law, load_scene, run
 from teleop.law import BUILT_IN
+from teleop.scene.knobs import COMMON
 from teleop.scene.library import ROOT, built_in_scenes
 from teleop.scene.playout import as_typed
-from teleop.scene.wide import WIDE
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.metrics import METRICS
 from teleop.simulation.structure import structure_of
@@ -80,7 +80,7 @@ class TestList:
     def test_of_a_scene_shows_the_knobs_that_every_scene_takes(self, typed: Typed) -> None:
         """`x_limit` was accepted by --set and named by no list."""
         lines = typed("list", "canonical").out.partition("knobs of every scene")[2].splitlines()
-        assert {line.split()[0] for line in lines[2:]} - {"set"} == set(WIDE)
+        assert {line.split()[0] for line in lines[2:]} - {"set"} == set(COMMON)
         told = json.loads(typed("list", "canonical", "--json").out)["found"][0]
         assert {knob["name"]: knob["unit"] for knob in told["of_every_scene"]}["x_limit"] == "m"
 
