@@ -84,7 +84,7 @@ class Clock:
         return self.now
 
 
-def made(scene: Scene, e: str, wire: Wire, folder: Path) -> Shell:
+def live_end(scene: Scene, e: str, wire: Wire, folder: Path) -> Shell:
     """A live end that has read its device once."""
     session = Session(master=e == "m", manifest=manifest_of(scene), number=2**63 + 1 if e == "m" else None)
     folder.mkdir()
@@ -137,8 +137,8 @@ def ran(began: Callable[[], None]) -> float:
         module.time = clock
     scene = both_ends(load_scene("hard_wall", duration=2 * TICKS * TICK_NS / 1e9))
     with TemporaryDirectory() as name, bind_udp(("127.0.0.1", 0), "") as near, bind_udp(("127.0.0.1", 0), "") as far:
-        shells = [made(scene, "m", Wire(near, far.getsockname()), Path(name) / "m"),
-                  made(scene, "s", Wire(far, None), Path(name) / "s")]
+        shells = [live_end(scene, "m", Wire(near, far.getsockname()), Path(name) / "m"),
+                  live_end(scene, "s", Wire(far, None), Path(name) / "s")]
         us = asyncio.run(ticks(clock, shells, began))
         for shell in shells:
             shell.recorder.close()

@@ -27,7 +27,7 @@ from teleop.simulation.prepared import prepare
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import NAMES
 from teleop.simulation.virtual import run
-from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, leaves, tree_of
+from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, leaves, tree_of
 
 MEASURES = ("x_err_rms", "x_err_max")
 
@@ -43,7 +43,7 @@ def kernel_of(engine: str, scenes: Sequence[Scene], seeds: Sequence[int]) -> Cal
         schedule = schedules.setdefault((scene.link, seed), LinkSchedule.of(link_plans(scene, seed)))
         reference = scene.hand and scene.hand.reference
         path = paths.setdefault(reference, tuple([np.asarray(axis) for axis in reference_samples(scene) or ()]))
-        rows.append(Inputs(None, leaves(tree_of(scene, exact_bodies(scene))), scene.ticks, schedule, path))
+        rows.append(RowInputs(None, leaves(tree_of(scene, exact_bodies(scene))), scene.ticks, schedule, path))
     make = getattr(import_module("teleop.sweeps.kernels.engines"), f"{engine}_kernel")
     kernel = make(scenes[0], exact_bodies(scenes[0]), MEASURES)
     lags = [row.schedule.lags for row in rows]

@@ -118,7 +118,7 @@ def sweep(rounds: int) -> list[Row]:
     return rows
 
 
-class Way(NamedTuple):
+class KernelRun(NamedTuple):
     """One way to run the rows."""
 
     name: str
@@ -136,9 +136,9 @@ class Way(NamedTuple):
         return kernel_of(self.engine, scenes, [1 + n if self.own else 1 for n in range(self.rows)])
 
 
-CONSTANT = (Way("scalar", "scalar", 1.8, 1), Way("scalar with ledgers", "scalar", 1.8, 1, energy=True),
-            Way("vector", "vector", 1.0, 8), Way("vector with ledgers", "vector", 1.0, 8, energy=True))
-JITTER = tuple(Way(f"{name}, playout {playout}", engine, asked, rows, own=own, playout=playout)
+CONSTANT = (KernelRun("scalar", "scalar", 1.8, 1), KernelRun("scalar with ledgers", "scalar", 1.8, 1, energy=True),
+            KernelRun("vector", "vector", 1.0, 8), KernelRun("vector with ledgers", "vector", 1.0, 8, energy=True))
+JITTER = tuple(KernelRun(f"{name}, playout {playout}", engine, asked, rows, own=own, playout=playout)
                for playout, asked in (("zero", 1.8), ("integral", None))
                for name, engine, rows, own in (("scalar", "scalar", 1, False),
                                                ("vector, one schedule for eight rows", "vector", 8, False),

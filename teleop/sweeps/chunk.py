@@ -21,8 +21,8 @@ from teleop.scene.scene import Scene
 from teleop.simulation.metrics import of_plan
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import OF_PLAN, WHOLE, Measure
-from teleop.sweeps.kernels.kernel import TICKS, Inputs, Kernel, NotCompiled, Schedules, figures, has_packets
-from teleop.sweeps.rows import Edited, Group, Ready, RowMaker
+from teleop.sweeps.kernels.kernel import TICKS, Kernel, NotCompiled, RowInputs, Schedules, figures, has_packets
+from teleop.sweeps.rows import Edited, Ready, RowGroup, RowMaker
 
 if TYPE_CHECKING:
     from teleop.simulation.result import Result
@@ -54,7 +54,7 @@ class Raised(Exception):
     """What a metric raised in another process; the text is its traceback there."""
 
 
-def asked(metric: Callable[[Result], float], result: Result, row: Mapping[str, Any]) -> float:
+def evaluate_metric(metric: Callable[[Result], float], result: Result, row: Mapping[str, Any]) -> float:
     """The metric's value for the run of `row` (`row`, `seed` and the knobs). Raises `MetricMistake`."""
     try:
         value: Any = metric(result)
@@ -65,14 +65,14 @@ def asked(metric: Callable[[Result], float], result: Result, row: Mapping[str, A
     if getattr(value, "shape", None) == () and hasattr(value, "item"):  # of numpy
         value = value.item()
     if not isinstance(value, Real):
-        what = f"returned {_shown(value)}, which is no number (write a float, nan where there is none)"
+        what = f"returned {_value_text(value)}, which is no number (write a float, nan where there is none)"
         raise MetricMistake(_sentence(metric, _first_line(metric), row, what))
     return float(value)
 
 
 def _sentence(metric: Callable[..., Any], place: str, row: Mapping[str, Any], what: str) -> str:
     knobs = {**{name: value for name, value in row.items() if name not in ("row", "seed")}, "seed": row["seed"]}
-    at = ", ".join(f"{name}={_shown(value)}" for name, value in knobs.items())
+    at = ", ".join(f"{name}={_value_text(value)}" for name, value in knobs.items())
     name = metric.__name__
     return (f"metric {name}{place} {what}, in row {row['row']} ({at}); mend it and sweep again: with out=FOLDER the "
             f"rows before it are kept there, and mended=[{name!r}] goes on behind them")
@@ -90,7 +90,7 @@ def _first_line(metric: Callable[..., Any]) -> str:
     return "" if code is None else file_line(code.co_filename, code.co_firstlineno)
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     text = value if isinstance(value, str) and value.isidentifier() else " ".join(_text(repr, value).split())
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
@@ -161,7 +161,7 @@ def work(job: Job, stopped: Callable[[], bool] | None = None) -> ChunkResult:
 
 
 def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], stopped: Callable[[], bool] | None
-              ) -> tuple[list[Group], SentMistake | None]:
+              ) -> tuple[list[RowGroup], SentMistake | None]:
     """The rows of a job, those of one kernel together; what is refused or needs a record has its result already.
 
     With them the mistake of a metric of the user's own, after which no row is made ready.
@@ -193,7 +193,7 @@ def _refuse(row: Row, refused: Refused) -> None:
     row.update(status="refused", ticks=0, sentence=str(refused))
 
 
-def _batches(group: Group) -> Iterator[Sequence[Ready]]:
+def _batches(group: RowGroup) -> Iterator[Sequence[Ready]]:
     """Rows to be handed to their kernel at one call, those with the same schedules together.
 
     Where a kernel runs rows side by side, those that fill its lanes go first. No more rows at a call than have
@@ -222,7 +222,7 @@ def _batches(group: Group) -> Iterator[Sequence[Ready]]:
     yield from (left[first:first + most] for first in range(0, len(left), most))
 
 
-def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> Kernel:
+def _run(group: RowGroup, batch: Sequence[Ready], measures: Sequence[Measure]) -> Kernel:
     """Run rows of a group at once and write into each what it came to; the kernel that ran them."""
     kernel = group.kernel
     rows, given = [], []
@@ -233,7 +233,7 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
             _refuse(ready.row, refused)
             continue
         rows.append(ready)
-        given.append(Inputs(ready.tree, ready.flat, group.ticks, schedule, ready.path, ready.still, ready.frame))
+        given.append(RowInputs(ready.tree, ready.flat, group.ticks, schedule, ready.path, ready.still, ready.frame))
     if not rows:
         return kernel
     try:
@@ -257,7 +257,7 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
     return kernel
 
 
-def _figures(kernel: Kernel, given: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
+def _figures(kernel: Kernel, given: Sequence[RowInputs]) -> list[tuple[str, int, dict[str, float]]]:
     """What rows came to; `NotCompiled` where compiled code raised, so that plain Python says whose line it was."""
     try:
         return figures(kernel, given)
@@ -284,7 +284,7 @@ def _recorded(scene: Scene, seed: int, measures: Sequence[Measure], row: Row) ->
     told = {}
     for one in measures:
         if not isinstance(one, str):
-            told[one.__name__] = asked(one, result, row)
+            told[one.__name__] = evaluate_metric(one, result, row)
         elif one in result.metrics:
             told[one] = result.metrics[one]
     return result.status, result.ticks, told

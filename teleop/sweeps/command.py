@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 MANY = 1_000_000_000  # rows: more are a slip of the keyboard unless somebody says --yes
 
 
-class Swept(NamedTuple):
+class SweepOutcome(NamedTuple):
     """A sweep as far as it came."""
 
     plan: Sweep
@@ -122,7 +122,7 @@ def carry_out(
     out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None,
     request: PictureRequest | None = None,
     latin: int | None = None, random: int | None = None, cluster: str | None = None, workers: int | None = None,
-) -> Swept:
+) -> SweepOutcome:
     """Run the sweep of scene `name` over `axes` (texts, see `teleop.sweeps.grid`). Raises `Refused`.
 
     `request`: the picture that will be drawn of it, refused here if no row could make it possible.
@@ -171,7 +171,7 @@ def carry_out(
         seconds = clock() - began
     where = None if pool is None else (pool.address, len(pool.workers))
     limits = limits_of(plan.first, plan.grid.knobs)
-    return Swept(plan, table, folder, interrupted, seconds, len(table) - before, limits, where)
+    return SweepOutcome(plan, table, folder, interrupted, seconds, len(table) - before, limits, where)
 
 
 def in_common(first: Scene, turned: Collection[str]) -> dict[str, object]:

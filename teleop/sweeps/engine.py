@@ -27,11 +27,11 @@ from teleop.sweeps.kernels.figures import KEPT as KEPT_ALONG
 from teleop.sweeps.kernels.figures import layout
 from teleop.sweeps.kernels.functions import constants
 from teleop.sweeps.kernels.kernel import (
-    Inputs,
     Kernel,
     Leaves,
     LinkSchedule,
     NotCompiled,
+    RowInputs,
     figures,
     leaves,
     names_of,
@@ -123,7 +123,7 @@ def kernel_of(prepared: Prepared, measures: tuple[str, ...], engine: str, stamp:
     kernel = _KERNELS.get(key)
     if kernel is None:
         with _MAKING:
-            kernel = _KERNELS.get(key) or _made(scene, bodies, measures, engine, why)
+            kernel = _KERNELS.get(key) or _make_kernel(scene, bodies, measures, engine, why)
             while len(_KERNELS) >= KEPT:
                 del _KERNELS[next(iter(_KERNELS))]
             _KERNELS[key] = kernel
@@ -147,14 +147,14 @@ class Stamps:
         return self._found[key]
 
 
-def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
+def _make_kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
     if engine == "plain":
         return plain_kernel(scene, bodies, measures)._replace(why=why)
     from teleop.sweeps.kernels.compiled import cause
 
     make = getattr(import_module("teleop.sweeps.kernels.engines"), f"{engine}_kernel")
     two = prepare(replace(scene, duration=min(scene.ticks, 2) * scene.dt))  # ticks, enough to have it compiled
-    given = Inputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
+    given = RowInputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
                    LinkSchedule.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))
     try:
         try:
@@ -164,5 +164,5 @@ def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, 
             kernel = make(scene, bodies, measures, keep=False)
             figures(kernel, [given])
     except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
-        return _made(scene, bodies, measures, FALLBACK[engine], cause(error))
-    return kernel._replace(why=why, fallback=lambda reason: _made(scene, bodies, measures, FALLBACK[engine], reason))
+        return _make_kernel(scene, bodies, measures, FALLBACK[engine], cause(error))
+    return kernel._replace(why=why, fallback=lambda reason: _make_kernel(scene, bodies, measures, FALLBACK[engine], reason))

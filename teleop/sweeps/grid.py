@@ -96,10 +96,10 @@ class Grid:
 
     def definition(self) -> dict[str, Any]:
         """The grid as JSON can hold it, equal for grids with equal rows; of a long axis its ends and its SHA-256."""
-        axes = [{"knobs": list(names), "values": _written([[plain(v) for v in p] if len(names) > 1 else plain(p[0])
+        axes = [{"knobs": list(names), "values": _summarise([[json_value(v) for v in p] if len(names) > 1 else json_value(p[0])
                                                            for p in points])} for names, points in self.axes]
         s = self.seeds
-        seeds = {"first": s[0], "step": s.step, "count": len(s)} if isinstance(s, range) else _written(list(s))
+        seeds = {"first": s[0], "step": s.step, "count": len(s)} if isinstance(s, range) else _summarise(list(s))
         return {"axes": axes, "seeds": seeds}
 
 
@@ -118,10 +118,10 @@ def grid(axes: Mapping[Any, Iterable[Any]], seeds: int | Iterable[int] = 1) -> G
     for key, values in axes.items():
         if isinstance(key, tuple):
             name = ", ".join(map(str, key))
-            points = tuple(tuple(listed(name, point)) for point in _each(name, values))
+            points = tuple(tuple(clean_values(name, point)) for point in _entries(name, values))
             made.append((key, points))
         else:
-            made.append(((key,), tuple((value,) for value in listed(key, values))))
+            made.append(((key,), tuple((value,) for value in clean_values(key, values))))
     return Grid(axes=tuple(made), seeds=_seeds(seeds))
 
 
@@ -150,7 +150,7 @@ class Range:
         Each is the float nearest to the decimal number: 0 to 0.3 in four is 0, 0.1, 0.2, 0.3 as one would type
         them. By equal ratios it is the exponents of ten that are so spaced, and whole decades are hit.
         """
-        count = counted("a range's number of values", n)
+        count = check_count("a range's number of values", n)
         if count < 2:
             raise Refused("a range with both its ends has at least 2 values; write for example 0:0.5:51, or one value "
                           "alone")
@@ -177,7 +177,7 @@ def sampled(ranges: Mapping[str, Range | Sequence[Any]], n: int, *, key: int = 0
     others. `latin`: one point in each of n equal strata of every knob (McKay, Beckman & Conover, Technometrics 21,
     1979); otherwise independent, and a greater n keeps the points that are there.
     """
-    count = counted("n", n)
+    count = check_count("n", n)
     if not _is_whole(key, 0, (1 << 64) - 1):
         raise Refused(f"key must be a whole number from 0 to 2^64-1, not {key!r}; write key=1")
     if not isinstance(ranges, Mapping) or not ranges:
@@ -188,35 +188,35 @@ def sampled(ranges: Mapping[str, Range | Sequence[Any]], n: int, *, key: int = 0
         if isinstance(over, Range):
             columns.append([over.at(u) for u in draws])
             continue
-        entries = listed(name, over)
+        entries = clean_values(name, over)
         if not entries:
             raise Refused(f"{name} has no values to draw from; write for example {name}=[1.0, 2.0]")
         columns.append([entries[min(int(u * len(entries)), len(entries) - 1)] for u in draws])
     return Grid(axes=((tuple(ranges), tuple(zip(*columns, strict=True))),), seeds=_seeds(seeds))
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """A knob's value as JSON can hold it: what is no number, text, truth or list of them by its `repr`."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, tuple | list):
-        return [plain(each) for each in value]
+        return [json_value(each) for each in value]
     return fspath(value) if isinstance(value, PathLike) else repr(value)
 
 
-def listed(name: object, values: Iterable[Any]) -> list[Any]:
+def clean_values(name: object, values: Iterable[Any]) -> list[Any]:
     """The values of a knob, those of numpy as Python's own. Raises `Refused`."""
-    return [_clean(str(name), value) for value in _each(str(name), values)]
+    return [_clean(str(name), value) for value in _entries(str(name), values)]
 
 
-def counted(name: str, n: int) -> int:
+def check_count(name: str, n: int) -> int:
     """A number of values, 1 .. `MOST_VALUES`. Raises `Refused`."""
     if not _is_whole(n, 1, MOST_VALUES):
         raise Refused(f"{name} must be a whole number from 1 to {MOST_VALUES}, not {n!r}; write for example 51")
     return int(n)
 
 
-def _each(name: str, values: Iterable[Any]) -> Iterator[Any]:
+def _entries(name: str, values: Iterable[Any]) -> Iterator[Any]:
     """The entries of what a person gave as a list."""
     if isinstance(values, str | bytes) or not isinstance(values, Iterable) or getattr(values, "shape", None) == ():
         raise Refused(f'{name} takes a list of values, not {values!r}; write "{name}": [{values!r}]')
@@ -258,7 +258,7 @@ def _seeds(seeds: int | Iterable[int]) -> tuple[int, ...] | range:
     kept = seeds if isinstance(seeds, range) else None
     if kept is None and (isinstance(seeds, bool | str) or not isinstance(seeds, Iterable)):
         raise Refused(f"seeds are a whole number of them or a list, not {seeds!r}; write seeds=30 or seeds=[1, 2, 5]")
-    each = [*kept[:1], *kept[-1:]] if kept is not None else list(_each("seeds", seeds))  # type: ignore[arg-type]  # no int
+    each = [*kept[:1], *kept[-1:]] if kept is not None else list(_entries("seeds", seeds))  # type: ignore[arg-type]  # no int
     for seed in each:
         if not _is_whole(seed, 0, (1 << 64) - 1):
             raise Refused(f"a seed must be a whole number from 0 to 2^64-1, not {seed!r}; write for example "
@@ -298,7 +298,7 @@ def _draws(name: str, n: int, key: int, latin: bool) -> list[float]:
     return drawn
 
 
-def _written(values: list[Any]) -> Any:
+def _summarise(values: list[Any]) -> Any:
     """The values; of many their number, their ends and the SHA-256 of their JSON."""
     if len(values) <= WRITTEN_OUT:
         return values
@@ -340,7 +340,7 @@ def parse_axes(texts: Sequence[str]) -> dict[str | tuple[str, ...], list[Any]]:
     {'link': ['delay(0.05) | gamma(0.01, 2.0)', 'delay(0.1) ; delay(0.2)']}
     """
     axes: dict[str | tuple[str, ...], list[Any]] = {}
-    for names, parts in _typed(texts):
+    for names, parts in _split_axes(texts):
         written = ",".join(names)
         if len(names) == 1:
             axes[written] = [value for part in parts for value in _values(written, part)]
@@ -363,7 +363,7 @@ def parse_ranges(texts: Sequence[str]) -> dict[str, Range | list[Any]]:
     {'k_e': Range(low=100.0, high=1000000.0, log=True), 'law': ['wave', 'pfra']}
     """
     ranges: dict[str, Range | list[Any]] = {}
-    for names, parts in _typed(texts):
+    for names, parts in _split_axes(texts):
         written, (first, *more) = ",".join(names), parts[0].split(":")
         if len(names) > 1:
             raise Refused(f"{written}: a sample draws each knob by itself; write each as a text of its own, "
@@ -378,7 +378,7 @@ def parse_ranges(texts: Sequence[str]) -> dict[str, Range | list[Any]]:
     return ranges
 
 
-def _typed(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[str]]]:
+def _split_axes(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[str]]]:
     """The names of each axis and its values, still as texts."""
     seen: set[str] = set()
     for text in [texts] if isinstance(texts, str) else texts:

@@ -123,7 +123,7 @@ def _block(held: Mapping[str, Any], where: str) -> MatrixBlock:
     fixed = knobs_in(held.get("set", {}), where)
     if "losses" in held and "delays" not in held:
         raise Refused(f"{where} has losses and no delays, and its link has both; write delays = [0.0]")
-    lists = {key: _listed(key, held[key], where) for key in LISTS if key in held}
+    lists = {key: _check_list(key, held[key], where) for key in LISTS if key in held}
     block = MatrixBlock(
         name=name, scene=held["scene"], laws=lists["laws"], delays=lists.get("delays", (None,)),
         losses=lists.get("losses", (None,)), seeds=lists.get("seeds"), fixed=fixed,
@@ -155,7 +155,7 @@ def _picked(key: str, value: object, own: tuple[Any, ...] | None, where: str) ->
                      for end, past in (("from", -inf), ("to", inf)))
         found = tuple(each for each in own if low <= each <= high)
     else:
-        found = _listed(key, value, where)
+        found = _check_list(key, value, where)
     lost = next((each for each in found if each not in own), None)
     if lost is not None or not found:
         what = "none of" if lost is None else f"{lost!r}, which is not among"
@@ -163,7 +163,7 @@ def _picked(key: str, value: object, own: tuple[Any, ...] | None, where: str) ->
     return found
 
 
-def _listed(key: str, value: object, where: str) -> tuple[Any, ...]:
+def _check_list(key: str, value: object, where: str) -> tuple[Any, ...]:
     """The values of a list, checked; one alone is a list of one."""
     given = value if isinstance(value, list) else [value]
     if not given:
@@ -245,11 +245,11 @@ def run_matrix(blocks: tuple[MatrixBlock, ...], *, executor: Executor | None = N
     total, done = sum(len(block.rows()) for block in blocks), 0
     came: dict[str, list[RowOutcome]] = {}
     for block in blocks:
-        def told(here: int, _: int, before: int = done) -> None:
+        def show_rows(here: int, _: int, before: int = done) -> None:
             if show is not None:
                 show(before + here, total)
 
-        came[block.name] = run_block(block, executor=executor, out=out and out / block.name, show=told)
+        came[block.name] = run_block(block, executor=executor, out=out and out / block.name, show=show_rows)
         done += len(came[block.name])
     return came
 

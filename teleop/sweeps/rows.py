@@ -59,7 +59,7 @@ class Ready(NamedTuple):
     frame: Frame
 
 
-class Group:
+class RowGroup:
     """Rows that one kernel may run side by side: of one structure, one number of ticks and the same whole numbers.
 
     Nothing moves them from the same tick on, if from any.
@@ -89,10 +89,10 @@ class RowMaker:
         self._knobs: dict[str, object] | None = None  # those of the row before, and what came of them
         self._before: tuple[Scene, Made | None]
         self._schedules: dict[Any, Schedules] = {}
-        self._groups: dict[Any, Group] = {}
+        self._groups: dict[Any, RowGroup] = {}
 
     @property
-    def groups(self) -> list[Group]:
+    def groups(self) -> list[RowGroup]:
         """The rows so far."""
         return [*self._groups.values()]
 
@@ -107,7 +107,7 @@ class RowMaker:
             if type(scene.laws[0]) not in self._as_begun:  # an edited file has another class
                 self._check(type(scene.laws[0]))
                 self._as_begun.add(type(scene.laws[0]))
-            self._before = scene, None if needs_record(self._measures, scene) else self._made(scene)
+            self._before = scene, None if needs_record(self._measures, scene) else self._make(scene)
             self._knobs = knobs
         scene, made = self._before
         if made is None:
@@ -126,7 +126,7 @@ class RowMaker:
             raise Edited(f"{own.path} was edited while the sweep ran; the rows until then are of the file as it was, "
                          "so run the sweep again, one with --out into another folder")
 
-    def _made(self, scene: Scene) -> Made:
+    def _make(self, scene: Scene) -> Made:
         kind = type(scene.laws[0])
         known = self._known.get(kind)
         changed = None if known is None else known.changed(scene)
@@ -150,11 +150,11 @@ class RowMaker:
         group = self._group(kernel, scene.ticks, flat, rest, frame)
         return KnownScene(prepared, Made(group, tree, flat, path, {}, rest, frame))
 
-    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None, frame: Frame) -> Group:
+    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None, frame: Frame) -> RowGroup:
         key = id(kernel), ticks, tuple(flat.wholes) if flat else (), rest and (rest.since, rest.window), frame.last
         group = self._groups.get(key)
         if group is None:
-            group = self._groups[key] = Group(kernel, ticks)
+            group = self._groups[key] = RowGroup(kernel, ticks)
         return group
 
     def _varied(self, known: KnownScene, scene: Scene, changed: frozenset[str]) -> Made | None:
@@ -208,7 +208,7 @@ def _with_link_of(scene: Scene, made: Made) -> Made:
 class Made(NamedTuple):
     """What a row has of its scene, whatever its seed."""
 
-    group: Group
+    group: RowGroup
     tree: Any
     flat: Leaves | None
     path: Any

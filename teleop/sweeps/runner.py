@@ -22,7 +22,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import ChunkResult, Job, work
 from teleop.sweeps.engine import Measure, choose
-from teleop.sweeps.grid import Grid, counted, grid, listed, plain
+from teleop.sweeps.grid import Grid, check_count, grid, json_value
 from teleop.sweeps.kernels.functions import digest, file_digest, sources
 from teleop.sweeps.kernels.kernel import available
 from teleop.sweeps.store import METRIC_SOURCES, Store
@@ -61,7 +61,7 @@ class Sweep:
 
         own = {one.__name__: digest(sources([one])) for one in self.measures if not isinstance(one, str)}
         return {
-            "scene": self.scene, "fixed": {key: plain(listed(key, [value])[0]) for key, value in self.fixed.items()},
+            "scene": self.scene, "fixed": {key: json_value(listed(key, [value])[0]) for key, value in self.fixed.items()},
             "grid": self.grid.definition(), "metrics": _names(self.measures), "sources": self.sources,
             "version": __version__, **({METRIC_SOURCES: own} if own else {}),
         }
@@ -187,7 +187,7 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | N
     """Run what is not done yet of a sweep, see `sweep`. `chunk`: rows of a job, for one whose rows are known to be
     short; left out, as many as take about `CHUNK` seconds. Raises `Refused`.
     """
-    most = cores() if workers is None else counted("workers", workers)
+    most = cores() if workers is None else check_count("workers", workers)
     total, definition = len(plan.grid), plan.definition()
     _check_mended(mended, definition.get(METRIC_SOURCES, ()))
     store = None if out is None else Store.open(Path(out), definition, mended)

@@ -36,7 +36,7 @@ from teleop.storage.strict_json import (
     whole,
 )
 from teleop.storage.strict_json import LONGEST as LONGEST_NUMBER
-from teleop.sweeps.grid import plain
+from teleop.sweeps.grid import json_value
 
 if TYPE_CHECKING:
     from teleop.sweeps.table import Table
@@ -80,7 +80,7 @@ def _jsonable(value: object) -> object:
         return _jsonable(value.tolist())
     if isinstance(value, float):
         return value if isfinite(value) else str(value)
-    return plain(value)
+    return json_value(value)
 
 
 def begun(folder: Path, definition: Mapping[str, Any]) -> IO[bytes] | None:

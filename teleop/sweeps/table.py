@@ -18,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from teleop.errors import Refused, nearest, number_of
 from teleop.storage.files import replacing_text
-from teleop.sweeps.grid import counted, plain
+from teleop.sweeps.grid import check_count, json_value
 from teleop.terminal.table import columns, printable
 
 if TYPE_CHECKING:
@@ -66,11 +66,11 @@ class TableColumn:
         """Whether each row has this value."""
         import numpy as np
 
-        wanted = plain(value.item() if isinstance(value, np.generic) else value)
+        wanted = json_value(value.item() if isinstance(value, np.generic) else value)
         if self.values is None:
             is_number = isinstance(wanted, int | float) and not isinstance(wanted, bool)
             return np.asarray(self.cells == wanted) if is_number else np.zeros(len(self.cells), bool)
-        fits = [plain(each) == wanted and isinstance(each, bool) == isinstance(wanted, bool) for each in self.values]
+        fits = [json_value(each) == wanted and isinstance(each, bool) == isinstance(wanted, bool) for each in self.values]
         return np.array(fits, bool)[self.cells] if fits else np.zeros(len(self.cells), bool)
 
 
@@ -228,8 +228,8 @@ class Table:
 
         with _whole(Path(path)) as file:
             lines = writer(file)  # with \r\n after a line (RFC 4180), so that a text with either sign is put in quotes
-            lines.writerow(self._told())
-            for _, values in self._values(self._told()):
+            lines.writerow(self._file_columns())
+            for _, values in self._values(self._file_columns()):
                 lines.writerow(["" if _missing(value) else _cell(value) for value in values])
 
     def to_jsonl(self, path: Path | str) -> None:
@@ -240,8 +240,8 @@ class Table:
         from json import dumps
 
         with _whole(Path(path)) as file:
-            for names, values in self._values(self._told()):
-                told = (None if type(value) is float and not isfinite(value) else plain(value) for value in values)
+            for names, values in self._values(self._file_columns()):
+                told = (None if type(value) is float and not isfinite(value) else json_value(value) for value in values)
                 file.write(dumps(dict(zip(names, told, strict=True)), allow_nan=False) + "\n")
 
     def __str__(self) -> str:
@@ -253,7 +253,7 @@ class Table:
 
         `all_by`: what the last line says to type for all of them; left out, a call of this.
         """
-        shown = min(SHOWN if rows is None else counted("rows", rows), len(self))
+        shown = min(SHOWN if rows is None else check_count("rows", rows), len(self))
         first = ", ".join(f"{number_of(len(each), noun)}" for each, noun in (
             (self, "row"), (self.knobs, "knob"), (self.metrics, "metric")))
         if not len(self):
@@ -271,7 +271,7 @@ class Table:
             raise Refused(f"the table has no column {name!r}; {nearest(str(name), self._columns)}")
         return self._columns[name]
 
-    def _told(self) -> list[str]:
+    def _file_columns(self) -> list[str]:
         """The columns for a file: the sentence only where a row has one."""
         silent = self._columns["sentence"].equals(None).all()
         return [name for name in self._columns if name != "sentence" or not silent]
@@ -356,7 +356,7 @@ def _cell(value: Any) -> Any:
     """A value for CSV: a list as JSON."""
     from json import dumps
 
-    return dumps(plain(value)) if isinstance(value, list | tuple) else value
+    return dumps(json_value(value)) if isinstance(value, list | tuple) else value
 
 
 def _short(value: Any) -> str:

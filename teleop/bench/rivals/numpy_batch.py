@@ -184,7 +184,7 @@ def position_error(scene: Scene, wall: Callable[..., Any] = located) -> float:
     return float(np.abs(found - exact_positions(scene)).max())
 
 
-class Master(NamedTuple):
+class MasterStep(NamedTuple):
     """The gripped master with `f_m = b v_m - root w` put in: `x' = xx x + xv v + xw w + drive_x[k]`, and v' alike."""
 
     xx: float
@@ -197,7 +197,7 @@ class Master(NamedTuple):
     drive_v: list[float]
 
 
-def master(scene: Scene) -> Master:
+def master(scene: Scene) -> MasterStep:
     """The master's step over a tick."""
     import numpy as np
 
@@ -208,7 +208,7 @@ def master(scene: Scene) -> Master:
     g = grip(scene.master, hand.mass, hand.k, hand.d, scene.dt)
     r = np.asarray((reference_samples(scene) or ())[0])
     slope, root = np.diff(r) / scene.dt, sqrt(2.0 * law.b)
-    return Master(g.a11, g.a12 - g.b1 * law.b, g.b1 * root, g.a21, g.a22 - g.b2 * law.b, g.b2 * root,
+    return MasterStep(g.a11, g.a12 - g.b1 * law.b, g.b1 * root, g.a21, g.a22 - g.b2 * law.b, g.b2 * root,
                   (r[1:] - g.a11 * r[:-1] - (g.a12 + g.b1 * g.b) * slope).tolist(),
                   (slope - g.a21 * r[:-1] - (g.a22 + g.b2 * g.b) * slope).tolist())
 
@@ -230,7 +230,7 @@ def batch(scene: Scene, k_e: Any, wall: Callable[..., Any] = located, watch: Wat
     return lambda: _run(*given, *state)
 
 
-def _run(scene: Scene, c: Master, move: Any, watch: Watch | None, x_m: Any, v_m: Any, new: Any, f_s: Any, s: Any,
+def _run(scene: Scene, c: MasterStep, move: Any, watch: Watch | None, x_m: Any, v_m: Any, new: Any, f_s: Any, s: Any,
          t: Any, sq: Any, top: Any, p: Any, x_d: Any, v_s: Any, forth: Any, back: Any, old: Any) -> tuple[Any, Any]:
     import numpy as np
 

@@ -201,7 +201,7 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: C
     words = {
         "row": (len(gives(scene, measures)) + 2) * width, "width": width,
         "one_path": f"({''.join(f'(paths[(t * {len(axes)} + {i}) * {width}], 0.0), ' for i in axes)})",
-        "own_paths": f"({''.join(f'(each(paths, t * {len(axes)} + {i}), 0.0), ' for i in axes)})",
+        "own_paths": f"({''.join(f'(whole_numbers(paths, t * {len(axes)} + {i}), 0.0), ' for i in axes)})",
     }
     kernels = "".join(KERNEL.format(name=name, reals=len(flat.reals) * width, tree=tree, call=call.format(**words))
                       for name, call in engine.calls.items())

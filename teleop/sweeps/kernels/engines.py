@@ -33,12 +33,27 @@ from teleop.sweeps.kernels import lanes
 from teleop.sweeps.kernels.compiled import CompiledEngine, cause, jit, jitted, module, part_at
 from teleop.sweeps.kernels.figures import magnitude_of
 from teleop.sweeps.kernels.functions import branches, without_lanes
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput, NotVectorised, gives, leaves, tree_of
+from teleop.sweeps.kernels.kernel import Kernel, KernelOutput, NotVectorised, RowInputs, gives, leaves, tree_of
 from teleop.sweeps.kernels.lanes import WIDTH, any_lane, broadcast, invert, lane, load, select, with_lane
-from teleop.sweeps.kernels.rings import as_lanes, at, each, get, put, put_selected, ring, store
+from teleop.sweeps.kernels.rings import as_lanes, at, get, put, put_selected, ring, store, whole_numbers
 
-__all__ = ["any_lane", "as_lanes", "at", "broadcast", "each", "get", "invert", "lane_end", "lane_part", "load", "put",
-           "put_selected", "ring", "select", "store"]
+__all__ = [
+    "any_lane",
+    "as_lanes",
+    "at",
+    "broadcast",
+    "get",
+    "invert",
+    "lane_end",
+    "lane_part",
+    "load",
+    "put",
+    "put_selected",
+    "ring",
+    "select",
+    "store",
+    "whole_numbers",
+]
 
 
 def lane_part(place: str) -> Any:
@@ -62,7 +77,7 @@ def lane_end(place: str) -> Any:
     why = without_lanes(end)
     try:
         if not why:
-            return _made("def call({0}): return broadcast(function({0}))", end, _for_lanes(end))
+            return _wrap("def call({0}): return broadcast(function({0}))", end, _for_lanes(end))
     except NotSpecialised as error:
         why = f"is not made of masks ({error})"
     raise NotVectorised(f"{end.__qualname__} {why}, so it runs one scene at a time")
@@ -78,14 +93,14 @@ def _masked(function: FunctionType) -> Any:
 
 
 def _lane_by_lane(function: FunctionType) -> Any:
-    return _made("def call({0}):\n"
+    return _wrap("def call({0}):\n"
                  "    told = broadcast(function({1}))\n"
                  "    for i in range(1, width):\n"
                  "        told = with_lane(told, i, function({2}))\n"
                  "    return told", function, jitted(function))
 
 
-def _made(text: str, function: FunctionType, compiled: Any) -> Any:
+def _wrap(text: str, function: FunctionType, compiled: Any) -> Any:
     """A function of the same arguments as `function`, which is `compiled`."""
     words = list(signature(function).parameters)
     names = {"function": compiled, "broadcast": broadcast, "lane": lane, "with_lane": with_lane, "width": WIDTH}
@@ -141,16 +156,16 @@ WITHOUT_LOOPS: dict[Callable[..., Any], Any] = {
 }
 
 
-Tile = list[tuple[Inputs, tuple[int, int]]]  # rows with their lags, one for each lane
+Tile = list[tuple[RowInputs, tuple[int, int]]]  # rows with their lags, one for each lane
 
 
-def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> list[list[KernelOutput]]:
+def call_kernel(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> list[list[KernelOutput]]:
     """What a kernel tells of the rows of these tiles; `figures`: how many it gives of each."""
     import numpy as np
 
     rows = [row for tile in tiles for row, _ in tile]
     if rows[0].flat is not None and rows[0].flat.arrays and len(tiles) > 1:  # arrays of its own for each tile
-        return [told for tile in tiles for told in called(kernel, [tile], figures)]
+        return [told for tile in tiles for told in call_kernel(kernel, [tile], figures)]
     width, first = len(tiles[0]), rows[0]
     flats = [row.flat for row in rows if row.flat is not None]
     reals = np.frombuffer(b"".join([flat.reals for flat in flats])).reshape(len(tiles), width, -1)
@@ -212,9 +227,9 @@ VECTOR = CompiledEngine(
              (lags[t * 2 * {width}], lags[(2 * t + 1) * {width}], out[t * {row}:(t + 1) * {row}],
               start, window, last))""",
         "apart": """\
-        loop(given, law, dt, ticks, x_limit, start_m, start_s, (each(plays, 2 * t), 0), (each(plays, 2 * t + 1), 0),
+        loop(given, law, dt, ticks, x_limit, start_m, start_s, (whole_numbers(plays, 2 * t), 0), (whole_numbers(plays, 2 * t + 1), 0),
              sizes[t], {own_paths}, held,
-             (as_lanes(each(lags, 2 * t)), as_lanes(each(lags, 2 * t + 1)), out[t * {row}:(t + 1) * {row}],
+             (as_lanes(whole_numbers(lags, 2 * t)), as_lanes(whole_numbers(lags, 2 * t + 1)), out[t * {row}:(t + 1) * {row}],
               start, window, last))""",
     },
 )
@@ -225,8 +240,8 @@ def scalar_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep
     kernel = module(scene, bodies, measures, SCALAR, keep=keep).kernel
     told = gives(scene, measures)
 
-    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
-        return [one for one, in called(kernel, [[each] for each in zip(rows, lags, strict=True)], len(told))]
+    def run(rows: Sequence[RowInputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
+        return [one for one, in call_kernel(kernel, [[each] for each in zip(rows, lags, strict=True)], len(told))]
 
     return Kernel("scalar", tuple(measures), told, frame_of(scene), run)
 
@@ -245,7 +260,7 @@ def vector_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep
     kernels = module(scene, bodies, measures, VECTOR, keep=keep)
     given = gives(scene, measures)
 
-    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
+    def run(rows: Sequence[RowInputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
         tiles: dict[str, list[tuple[int, Tile]]] = {"alike": [], "apart": []}
         for first in range(0, len(rows), WIDTH):
             tile = list(zip(rows[first:first + WIDTH], lags[first:first + WIDTH], strict=True))
@@ -257,7 +272,7 @@ def vector_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep
         for name, several in tiles.items():
             if several:
                 try:
-                    told = called(getattr(kernels, name), [tile for _, tile in several], len(given))
+                    told = call_kernel(getattr(kernels, name), [tile for _, tile in several], len(given))
                 except NumbaError as error:  # compiled at the first call of its name
                     raise NotVectorised(f"rows of schedules of their own have no lanes: {cause(error)}") from error
                 for (first, _), ones in zip(several, told, strict=True):

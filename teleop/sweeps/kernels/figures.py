@@ -17,7 +17,7 @@ from teleop.simulation.rest import LATE
 from teleop.stages.end import Record, Recorder, Run, RunHas
 from teleop.stages.ledger import WaveLedger
 from teleop.stages.memory import get, put, ring
-from teleop.sweeps.kernels.sums import Sums, force_of_law, place_of_law
+from teleop.sweeps.kernels.sums import FigureSums, force_of_law, place_of_law
 
 ALONG = {  # metric that is itself kept along the run -> what else is with it
     "x_err_rms": "x_err", "x_err_max": "x_err", "f_err_rms": "f_err", "f_err_max": "f_err", "f_m_max": "f_m_max",
@@ -29,12 +29,12 @@ KEPT = {**{name: (what,) for name, what in ALONG.items()}, **SUMS, "energy_out":
 SWINGS = tuple([f"swing_{i}" for i in range(LATE)])  # of the late windows, see `teleop.simulation.rest`
 
 
-def kept(name: str) -> tuple[str, ...]:
+def accumulators(name: str) -> tuple[str, ...]:
     """What is kept along the run for a figure."""
     return ("rest",) if name in SWINGS else KEPT[name]
 
 
-class Layout(NamedTuple):
+class FigureLayout(NamedTuple):
     """What a kernel keeps along its run: figures by themselves, groups of sums, and the largest steps of the force."""
 
     along: tuple[str, ...]
@@ -46,13 +46,13 @@ class Layout(NamedTuple):
         return (*self.along, *[name for group in self.groups for name in names(group, axes, self.ranks)])
 
 
-def layout(measures: Sequence[str], ticks: int) -> Layout:
+def layout(measures: Sequence[str], ticks: int) -> FigureLayout:
     """What is kept for these figures of a run of so many ticks."""
     along = [name for name in measures if name in ALONG or name in SWINGS]
     if "energy_out" in measures and "E_port_min" not in along:
         along.append("E_port_min")
     groups = dict.fromkeys([group for name in measures if name in SUMS for group in SUMS[name]])
-    return Layout(tuple(along), tuple(groups), ranks(ticks) if "ranks" in groups else 0)
+    return FigureLayout(tuple(along), tuple(groups), ranks(ticks) if "ranks" in groups else 0)
 
 
 def most(top: float, size: float) -> float:
@@ -70,7 +70,7 @@ def root_mean(total: float, count: int) -> float:
     return sqrt(total / count) if count > 0 else float("nan")
 
 
-def known(value: float, count: int) -> float:
+def value_or_nan(value: float, count: int) -> float:
     """A figure of so many values; NaN of none."""
     return value if count > 0 else float("nan")
 
@@ -117,7 +117,7 @@ class Past(Record):
     d_f: float
 
 
-class Place(Record):
+class WindowRange(Record):
     """The place of one axis of one end in a window, see `teleop.simulation.rest`."""
 
     low: float  # the lowest so far, m
@@ -126,7 +126,7 @@ class Place(Record):
     fall: float
 
 
-class Figures(Recorder):
+class RunningFigures(Recorder):
     """The figures and sums of a layout, and whether all is finite at the end."""
 
     axes: tuple[Past, ...]
@@ -165,18 +165,18 @@ class Figures(Recorder):
     size: int  # of a ring
     finite: float  # 1.0 if all is finite at the end, else 0.0
 
-    def __init__(self, axes: int, has: RunHas, wanted: Layout) -> None:
+    def __init__(self, axes: int, has: RunHas, wanted: FigureLayout) -> None:
         super().__init__()
         self.measures = wanted.along
         self.ledgers = ("E_link",) * has.waves + ("E_port",) * has.energy + ("E_law",) * has.stored
         self.least_of_ledgers = tuple([f"{name}_min" for name in self.ledgers])
-        self.keeps = frozenset([each for name in wanted.along for each in kept(name)])
+        self.keeps = frozenset([each for name in wanted.along for each in accumulators(name)])
         if "turns" in wanted.groups:
             self.keeps |= {"rest"}
         self.axes = tuple([Past(f"{i}") for i in range(axes)])
-        self.places = tuple([Place(f"{e}{i}_place") for e in ("m", "s")[: 1 + has.slave] for i in range(axes)])
+        self.places = tuple([WindowRange(f"{e}{i}_place") for e in ("m", "s")[: 1 + has.slave] for i in range(axes)])
         self.groups = frozenset(wanted.groups)
-        self.sums = Sums(axes, wanted.groups, wanted.ranks)
+        self.sums = FigureSums(axes, wanted.groups, wanted.ranks)
         self.cells = tuple([cell for group in wanted.groups for cell in self.sums.cells(group, self.places)])
 
     def begin(self, run: Run, asked: Any, size: int) -> None:
@@ -237,7 +237,7 @@ class Figures(Recorder):
         if run.m.stage.watchdog:
             self.g_m_min = least(self.g_m_min, run.m.stage.watchdog.g)
             self.g_s_min = least(self.g_s_min, run.s.stage.watchdog.g)
-        self.count_told(run)
+        self.count_messages(run)
         if "rest" in self.keeps:
             self.look(run, k)
         if len(self.groups) > 0:
@@ -257,7 +257,7 @@ class Figures(Recorder):
         if "turns" in self.groups:
             self.sums.turn(run, k, self.start, self.window)
 
-    def count_told(self, run: Run) -> None:
+    def count_messages(self, run: Run) -> None:
         """The messages that the ends sent, and the ticks."""
         if "told" in self.keeps:
             self.told_m = self.told_m + run.m.stage.deadband.send
@@ -342,11 +342,11 @@ class Figures(Recorder):
         if name == "x_err_rms":
             return root_mean(self.x_err_sq, self.n_x)
         if name == "x_err_max":
-            return known(self.x_err_max, self.n_x)
+            return value_or_nan(self.x_err_max, self.n_x)
         if name == "f_err_rms":
             return root_mean(self.f_err_sq, self.n_f)
         if name == "f_err_max":
-            return known(self.f_err_max, self.n_f)
+            return value_or_nan(self.f_err_max, self.n_f)
         if name in ("E_link_end", "E_port_end", "E_law_end"):
             return self.E_link if name == "E_link_end" else self.E_port if name == "E_port_end" else self.E_law
         if name in ("sent_fwd", "sent_bwd"):
@@ -354,7 +354,7 @@ class Figures(Recorder):
         return getattr(self, name)
 
 
-class LaneFigures(Figures):
+class LaneFigures(RunningFigures):
     """The same of eight scenes, each stored when it leaves its bounds, or at the end."""
 
     out: Any
@@ -363,7 +363,7 @@ class LaneFigures(Figures):
     left: Any
 
     def begin(self, run: Run, asked: Any, size: int) -> None:
-        Figures.begin(self, run, asked, size)
+        RunningFigures.begin(self, run, asked, size)
         self.out = asked[2]
         self.alive = True
 

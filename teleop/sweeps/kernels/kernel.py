@@ -30,7 +30,16 @@ from teleop.simulation.source import Lines, functions, lines
 from teleop.simulation.structure import numbers_of, record, structure_of
 from teleop.simulation.tick import loop
 from teleop.stages.end import RunHas
-from teleop.sweeps.kernels.figures import KEPT, MAGNITUDES, SWINGS, Figures, LaneFigures, kept, layout, magnitude_of
+from teleop.sweeps.kernels.figures import (
+    KEPT,
+    MAGNITUDES,
+    SWINGS,
+    LaneFigures,
+    RunningFigures,
+    accumulators,
+    layout,
+    magnitude_of,
+)
 
 if TYPE_CHECKING:
     from teleop.simulation.plan import Plan
@@ -43,7 +52,7 @@ class NotVectorised(NotCompiled):
     """Why a structure of scene has no kernel over lanes."""
 
 
-class Inputs(NamedTuple):
+class RowInputs(NamedTuple):
     """What a row gives its kernel."""
 
     tree: Any  # its numbers, see `tree_of`
@@ -78,7 +87,7 @@ class Kernel(NamedTuple):
     measures: tuple[str, ...]  # the figures that are asked of it
     gives: tuple[str, ...]  # the figures and sums that it gives, in order
     frame: Frame  # of the scene that it is made of
-    run: Callable[[Sequence[Inputs], Sequence[tuple[int, int]]], list[KernelOutput]]  # of rows and their lags
+    run: Callable[[Sequence[RowInputs], Sequence[tuple[int, int]]], list[KernelOutput]]  # of rows and their lags
     width: int = 1  # rows that it runs at once
     why: str = ""  # it runs them, where another engine was asked for
     fallback: Callable[[str], Kernel] | None = None  # makes, with a reason, the kernel of rows that this one cannot run
@@ -101,10 +110,10 @@ def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
 def kernel_lines(scene: Scene, measures: Sequence[str], *, engine: str = "plain") -> Lines:
     """The lines of a scene's loop that work out `measures` as they go, and at the end whether all is finite."""
     structure = structure_of(scene)
-    kinds = {each for name in measures for each in kept(name)}
+    kinds = {each for name in measures for each in accumulators(name)}
     m, s = [own._replace(has=own.has._replace(felt=own.has.felt or bool(kinds & felt))) for own, felt in (
         (structure.m, {"f_h_max"}), (structure.s, {"f_err", "f_env_max", "free", "f_env", "touch"}))]
-    return lines(structure._replace(m=m, s=s), loop, LaneFigures if engine == "vector" else Figures,
+    return lines(structure._replace(m=m, s=s), loop, LaneFigures if engine == "vector" else RunningFigures,
                  (structure.axes, structure.has, layout(measures, scene.ticks)), engine=engine)
 
 
@@ -127,7 +136,7 @@ def plain_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kerne
     """The kernel in plain Python."""
     own_loop = kernel_lines(scene, measures).function(functions_of_kernel(scene, bodies))
 
-    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
+    def run(rows: Sequence[RowInputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
         outputs = []
         for row, lag in zip(rows, lags, strict=True):
             numbers, law, dt, x_limit, start_m, start_s, held = row.tree
@@ -195,7 +204,7 @@ def _numbers_of_law(law: Any) -> Any:
         raise NotCompiled(f"law {law_name(law)} has {odd}={getattr(law, odd)!r}, which is no number") from None
 
 
-def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
+def figures(kernel: Kernel, rows: Sequence[RowInputs]) -> list[tuple[str, int, dict[str, float]]]:
     """Status, ticks and figures of rows; a figure that is not finite is left out, as in a single run.
 
     Where the kernel gives the swings of the late windows, the status is that of `Still`, and of a run that came to its
@@ -206,7 +215,7 @@ def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict
     outputs = kernel.run(rows, lags)
     # The lag of a run that ended early is that of the messages which came until then.
     own = {i: rows[i].schedule.lags_until(-output.ran) for i, output in enumerate(outputs) if output.ran < 0}
-    if any(group in AT_END for name in kernel.measures for group in kept(name)):  # and its last ticks are others
+    if any(group in AT_END for name in kernel.measures for group in accumulators(name)):  # and its last ticks are others
         for i, lag in own.items():
             if outputs[i].ran != -rows[i].ticks:
                 outputs[i], = kernel.run([rows[i]._replace(ticks=-outputs[i].ran)], [lag])

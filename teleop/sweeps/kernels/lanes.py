@@ -207,7 +207,7 @@ def broadcast(typingctx: Any, tree: Any) -> Any:  # noqa: ARG001
 def lane(typingctx: Any, tree: Any, i: Any) -> Any:  # noqa: ARG001
     """The tree of lane i; what has no lanes is the same in all."""
 
-    def one(kind: Any) -> Any:
+    def lane_type(kind: Any) -> Any:
         return {lanes: types.float64, mask: types.boolean}.get(kind, kind)
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -218,7 +218,7 @@ def lane(typingctx: Any, tree: Any, i: Any) -> Any:  # noqa: ARG001
 
         return tree_value(context, builder, tree, sig.return_type, args[0], leaf)
 
-    return tree_type(tree, one)(tree, types.intp), make
+    return tree_type(tree, lane_type)(tree, types.intp), make
 
 
 @intrinsic_of

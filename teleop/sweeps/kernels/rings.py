@@ -189,7 +189,7 @@ def _vector(builder: Any, kind: Any, numbers: list[Any]) -> Any:
 
 
 @intrinsic_of
-def each(typingctx: Any, numbers: Any, t: Any) -> Any:  # noqa: ARG001
+def whole_numbers(typingctx: Any, numbers: Any, t: Any) -> Any:  # noqa: ARG001
     """Eight whole numbers of a flat array, from place 8 t on, as a tuple."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:

@@ -35,7 +35,7 @@ class Rank(Record):
     size: float
 
 
-class Turns(Record):
+class BandCrossings(Record):
     """How often the velocity of one axis of the master turns from below a band about 0 to above it."""
 
     v_was: float
@@ -46,7 +46,7 @@ class Turns(Record):
     latest: float
 
 
-class Sums(Record):
+class FigureSums(Record):
     """The sums of these groups."""
 
     moved: float  # 1.0 once the slave has moved
@@ -71,7 +71,7 @@ class Sums(Record):
         self.axes = tuple([AxisSums(f"{i}_sums") for i in range(axes)])
         self.ranks = tuple([Rank(f"rank{i}") for i in range(ranks)])
         self.least = self.ranks[-1:]
-        self.turns = tuple([Turns(f"{i}_turns") for i in range(axes)])
+        self.turns = tuple([BandCrossings(f"{i}_turns") for i in range(axes)])
 
     def cells(self, group: str, places: Sequence[Record]) -> tuple[tuple[Record, str], ...]:
         """Where the sums of a group are, in the order of `teleop.simulation.felt.names`; `places`: the master first."""
