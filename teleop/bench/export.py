@@ -1,4 +1,4 @@
-"""What it costs to hand a run to other tools: files of a demo's 10 s, and the rows of it that go to PlotJuggler.
+"""The cost of handing a run to other tools: files of a demo's 10 s, and the rows of it that go to PlotJuggler.
 
 Processor time of this process alone.
 """

@@ -88,7 +88,7 @@ def ready(engine: str, name: str, link: str, count: int) -> Callable[[], Any]:
 
 
 def seconds(call: Callable[[], Any]) -> float:
-    """Of the processor."""
+    """Processor time of a call, s."""
     began = time.process_time()
     call()
     return time.process_time() - began

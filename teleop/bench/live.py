@@ -29,7 +29,7 @@ QUANTILES = {"p50": "median", "p99": "99 %", "p100": "most"}
 
 
 class Alone(NamedTuple):
-    """What the C loop measured of itself: lateness, us; share of a core; its priority under SCHED_FIFO, or 0."""
+    """Figures of the C loop, by itself: lateness, us; share of a core; its priority under SCHED_FIFO, or 0."""
 
     p50: float
     p99: float
@@ -39,7 +39,7 @@ class Alone(NamedTuple):
 
 
 class Round(NamedTuple):
-    """One demo, and the C loop beside it if there is one."""
+    """Figures of a demo, and of the C loop beside it if there is one."""
 
     ends: dict[str, dict[str, Any]]  # the summaries of "master" and "slave"
     c: Alone | None

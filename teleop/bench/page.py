@@ -1,4 +1,4 @@
-"""What the live page costs: lateness of the ends with a page that is looked at, beside a demo without one.
+"""The cost of the live page: lateness of the ends with a page that is looked at, beside a demo without one.
 
 Rounds of both, one after the other. The page is looked at by a client that drags the hand, as a browser's tab does: its
 rows and its orders, without the drawing.
@@ -30,7 +30,7 @@ PAGE = ROOT / "teleop" / "live" / "page" / "page.html"
 
 
 class Looked(NamedTuple):
-    """One run with a page: lateness (us) by end, the server's share of a core, s to the first rows, rows a second."""
+    """Run with a page: lateness (us) by end, the server's share of a core, s to the first rows, rows a second."""
 
     late: dict[str, dict[str, float]]
     cpu: float
@@ -126,6 +126,6 @@ def _drag(host: str, token: str) -> tuple[float, float]:
 
 
 def _processor_time(pid: int) -> float:
-    """What a process has used so far, s; Linux alone tells."""
+    """Processor time that a process has used so far, s; on Linux alone."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

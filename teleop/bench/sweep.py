@@ -119,7 +119,7 @@ def sweep(rounds: int) -> list[Row]:
 
 
 class KernelRun(NamedTuple):
-    """One way to run the rows."""
+    """Rows with an engine, a schedule and a playout, to be timed."""
 
     name: str
     engine: str

@@ -105,7 +105,7 @@ def ticks(c: str, rounds: int, count: int = TICKS) -> list[Row]:
 
 
 def round_trips(c: str, rounds: int, count: int = TRIPS) -> list[Row]:
-    """Of 100 bytes over loopback, each end on a core of its own, as two machines would be; then both on one core."""
+    """Time 100 bytes to and fro over loopback, each end on its own core, as on two machines; then both on one core."""
     apart: list[list[Late]] = []
     together: list[list[Late]] = []
     for cores, trips in ((cores_apart(), apart), (cores_apart()[:1] * 2, together)):
@@ -164,7 +164,7 @@ def datagrams(folder: Path, count: int) -> None:
 
 
 def carried(c: str, folder: Path, rate: int, count: int, *, ours: bool) -> CarriedLoad:
-    """One relay under one load."""
+    """Run a relay under a load: its losses and its error of the delay."""
     delay_ns = round(DELAY * 1e9)
     load = _started(c, "load", folder / "fwd", folder / "bwd", rate, count, delay_ns, stdin=subprocess.PIPE)
     assert load.stdout is not None

@@ -45,13 +45,13 @@ class SentMistake:
         self.error = error
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What it is made of again in another process."""
+        """Parts from which another process makes it again."""
         cause = self.error.__cause__
         return _again, (str(self.error), None if cause is None else "".join(format_exception(cause)))
 
 
 class Raised(Exception):
-    """What a metric raised in another process; the text is its traceback there."""
+    """Exception of a metric in another process; the text is its traceback there."""
 
 
 def evaluate_metric(metric: Callable[[Result], float], result: Result, row: Mapping[str, Any]) -> float:
@@ -125,7 +125,7 @@ class Job(NamedTuple):
 
 
 class ChunkResult(NamedTuple):
-    """What a job came to: its rows, how many which engine ran, and the time that took."""
+    """Result of a job: its rows, the number of rows that each engine ran, and the time taken."""
 
     rows: list[Row]  # with a mistake those until then
     ran: Counter[tuple[str, str]]  # by engine, and why it was not the one that was asked for
@@ -223,7 +223,7 @@ def _batches(group: RowGroup) -> Iterator[Sequence[Ready]]:
 
 
 def _run(group: RowGroup, batch: Sequence[Ready], measures: Sequence[Measure]) -> Kernel:
-    """Run rows of a group at once and write into each what it came to; the kernel that ran them."""
+    """Run rows of a group at once and write its outcome into each. Returns the kernel that ran them."""
     kernel = group.kernel
     rows, given = [], []
     for ready in batch:
@@ -258,7 +258,7 @@ def _run(group: RowGroup, batch: Sequence[Ready], measures: Sequence[Measure]) -
 
 
 def _figures(kernel: Kernel, given: Sequence[RowInputs]) -> list[tuple[str, int, dict[str, float]]]:
-    """What rows came to; `NotCompiled` where compiled code raised, so that plain Python says whose line it was."""
+    """Run rows by a kernel. Raises `NotCompiled` where compiled code did, so that plain Python names the line."""
     try:
         return figures(kernel, given)
     except (NotCompiled, Refused, MemoryError):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from teleop.sweeps.chunk import ChunkResult, Job
 
 def answer(version: str, files: Sequence[tuple[str, str]], packed: bytes) -> tuple[str, bytes | str]:
-    """What a worker does with a chunk: its address, and the rows as bytes or the sentence why there are none.
+    """Run a chunk at a worker: its address, and the rows as bytes or a sentence with the reason that there are none.
 
     `version`: the sources (see `sources`) that the rows are to be made by. `files`: path and digest of each file with a
     scene or a law that is not built in. Nothing of `packed` is opened before both agree.
@@ -64,7 +64,7 @@ def sources() -> str:
 
 
 def digest_of(path: str) -> str | None:
-    """What is in a file and those beside it that it imports, in short; none if it cannot be read."""
+    """Digest of a file and of the files beside it that it imports; none if it cannot be read."""
     from hashlib import sha256
 
     try:

@@ -1,4 +1,4 @@
-"""What `teleop sweep` does: run a grid of rows, show how far that has come, and leave a folder that can go on."""
+"""The command `teleop sweep`: run a grid of rows, show its progress, and leave a folder that can go on."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class SweepOutcome(NamedTuple):
     cluster: tuple[str, int] | None = None  # its scheduler, and how many workers sent rows; none: this machine
 
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
-        """The sweep as JSON can hold it, without its rows: what goes into summary.json."""
+        """The sweep as JSON can hold it, without its rows: the content of summary.json."""
         plan = self.plan
         compilers = () if all(engine == "plain" for engine, _ in plan.ran) else ("numba", "llvmlite")
         seeds, knobs = plan.grid.seeds, plan.grid.knobs
@@ -101,7 +101,7 @@ class SweepOutcome(NamedTuple):
 
 
 def command(args: Namespace) -> Answer:
-    """What `teleop sweep` does: run the rows, write summary.json and draw what is asked for. Raises `Refused`."""
+    """Carry out `teleop sweep`: run the rows, write summary.json and draw what is asked for. Raises `Refused`."""
     picture = PictureRequest(args.picture, args.metric)
     formats = asked_formats(args, wanted=any(picture))
     swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
@@ -197,7 +197,7 @@ def _check_picture(plan: Sweep, request: PictureRequest) -> None:
 
 @contextmanager
 def _workers(cluster: str | None, tell: Callable[[str], None]) -> Iterator[Cluster | None]:
-    """Those of the cluster at an address; none: the sweep's own threads."""
+    """Workers of the cluster at an address; none: the sweep's own threads."""
     if cluster is None:
         yield None
         return

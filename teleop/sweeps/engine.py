@@ -97,7 +97,7 @@ def _delay_varies(scene: Scene) -> bool:
 
 @lru_cache(maxsize=256)
 def _kinds(measures: tuple[Measure, ...]) -> tuple[bool, bool]:
-    """Is one of these metrics none that a sweep works out as it goes, and one an energy compared with its stamp."""
+    """True if a metric is none that a sweep works out as it goes; true if one is an energy compared with its stamp."""
     without_record = {*KEPT_ALONG, *OF_PLAN, *STAMPED, "swing_end"}
     return any(one not in without_record for one in measures), not STAMPED.isdisjoint(measures)
 
@@ -137,7 +137,7 @@ class Stamps:
         self._plain, self._found = engine == "plain", dict[Any, object]()
 
     def of(self, prepared: Prepared) -> object:
-        """Those of a scene's kernel."""
+        """Constants of a scene's kernel."""
         if self._plain:
             return None
         scene, bodies = prepared.scene, prepared.bodies
@@ -165,4 +165,5 @@ def _make_kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine
             figures(kernel, [given])
     except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
         return _make_kernel(scene, bodies, measures, FALLBACK[engine], cause(error))
-    return kernel._replace(why=why, fallback=lambda reason: _make_kernel(scene, bodies, measures, FALLBACK[engine], reason))
+    return kernel._replace(why=why, fallback=lambda reason: _make_kernel(
+        scene, bodies, measures, FALLBACK[engine], reason))

@@ -1,4 +1,4 @@
-"""Which rows a sweep has: knobs times seeds, each row found from its number, none of them kept.
+"""Rows of a sweep: knobs times seeds, each row worked out from its number, none of them stored.
 
 A grid is made of axes, crossed with one another and with the seeds; an axis turns one knob, or several together
 (zipped). Rows are numbered in the order of `itertools.product`, the seeds fastest and then the last axis.
@@ -62,12 +62,12 @@ class Grid:
 
     @property
     def knobs(self) -> tuple[str, ...]:
-        """The knobs that are turned, in the order of the axes."""
+        """Knobs of the axes, in their order."""
         return tuple(name for names, _ in self.axes for name in names)
 
     @property
     def points(self) -> int:
-        """How many settings of the knobs there are; each is run with every seed."""
+        """Number of settings of the knobs; each is run with every seed."""
         return prod(len(points) for _, points in self.axes)
 
     def __len__(self) -> int:
@@ -96,8 +96,9 @@ class Grid:
 
     def definition(self) -> dict[str, Any]:
         """The grid as JSON can hold it, equal for grids with equal rows; of a long axis its ends and its SHA-256."""
-        axes = [{"knobs": list(names), "values": _summarise([[json_value(v) for v in p] if len(names) > 1 else json_value(p[0])
-                                                           for p in points])} for names, points in self.axes]
+        axes = [{"knobs": list(names), "values": _summarise([
+            [json_value(v) for v in p] if len(names) > 1 else json_value(p[0]) for p in points])}
+            for names, points in self.axes]
         s = self.seeds
         seeds = {"first": s[0], "step": s.step, "count": len(s)} if isinstance(s, range) else _summarise(list(s))
         return {"axes": axes, "seeds": seeds}
@@ -127,7 +128,7 @@ def grid(axes: Mapping[Any, Iterable[Any]], seeds: int | Iterable[int] = 1) -> G
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """All numbers from `low` to `high`, both included; `log` goes by equal ratios. Raises `Refused`."""
+    """Interval of numbers from `low` to `high`, both included; `log` goes by equal ratios. Raises `Refused`."""
 
     low: float
     high: float
@@ -217,7 +218,7 @@ def check_count(name: str, n: int) -> int:
 
 
 def _entries(name: str, values: Iterable[Any]) -> Iterator[Any]:
-    """The entries of what a person gave as a list."""
+    """Entries of a list as a person wrote it."""
     if isinstance(values, str | bytes) or not isinstance(values, Iterable) or getattr(values, "shape", None) == ():
         raise Refused(f'{name} takes a list of values, not {values!r}; write "{name}": [{values!r}]')
     if isinstance(values, set | frozenset):
@@ -310,7 +311,7 @@ def _summarise(values: list[Any]) -> Any:
 
 
 def _alike(value: Any) -> Any:
-    """What is equal written equally: 1.0 as 1."""
+    """Write equal values equally: 1.0 as 1."""
     if isinstance(value, list):
         return [_alike(each) for each in value]
     return int(value) if isinstance(value, bool | float) and value == int(value) else value
@@ -429,7 +430,7 @@ def _parted(text: str, gap: str | re.Pattern[str]) -> list[str]:
 
 
 def _values(name: str, text: str) -> list[Any]:
-    """One value, or those of a range."""
+    """Read a value, or the values of a range."""
     text = text.strip()
     first, *more = text.split(":")
     if not more or not _is_number(first):

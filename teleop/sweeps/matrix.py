@@ -207,7 +207,7 @@ Show = Callable[[int, int], None]
 
 
 class RowOutcome(NamedTuple):
-    """A row and what came."""
+    """A row and its outcome."""
 
     row: Row
     status: str
@@ -217,11 +217,11 @@ class RowOutcome(NamedTuple):
 
     @property
     def as_expected(self) -> bool:
-        """Did the run end with the status that was expected."""
+        """True if the run ended with the expected status."""
         return self.status == self.row.expect
 
     def line(self) -> str:
-        """What was expected, what came, and why, in one line."""
+        """Expected status, status, and the reason, in one line."""
         ended = "was not finite or passed" if self.status == "diverged" else "stayed within"
         told = "".join(f", {name} {value:.3g}" for name, value in self.figures.items())
         return (f"{self.row.id}: expected {self.row.expect} ({self.row.why}), came {self.status}: {ended} "
@@ -241,7 +241,7 @@ def run_block(block: MatrixBlock, *, executor: Executor | None = None, out: Path
 
 def run_matrix(blocks: tuple[MatrixBlock, ...], *, executor: Executor | None = None, out: Path | None = None,
                show: Show | None = None) -> dict[str, list[RowOutcome]]:
-    """Run every block; what came, by the block's name. `out`: a folder that takes the folder of each block's sweep."""
+    """Run every block; outcomes by the block's name. `out`: a folder that takes the folder of each block's sweep."""
     total, done = sum(len(block.rows()) for block in blocks), 0
     came: dict[str, list[RowOutcome]] = {}
     for block in blocks:
@@ -255,7 +255,7 @@ def run_matrix(blocks: tuple[MatrixBlock, ...], *, executor: Executor | None = N
 
 
 def table(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]]) -> str:
-    """What came, a line a block, and a line for each row that is not as expected."""
+    """Table of the outcomes: a line a block, and a line for each row that is not as expected."""
     lines = [("block", "scene", "rows", "as expected")]
     for block in blocks:
         lines.append((block.name, block.scene, str(len(came[block.name])), str(_good(came[block.name]))))
@@ -284,7 +284,7 @@ def summary(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]
 
 
 def command(args: Namespace) -> Answer:
-    """What `teleop matrix` does: run the matrix and say what did not end as expected. Raises `Refused`."""
+    """Carry out `teleop matrix`: run the matrix and name the rows that did not end as expected. Raises `Refused`."""
     path = args.file or BUILT_IN
     blocks = read_matrix(path)
     rows = sum(len(block.rows()) for block in blocks)

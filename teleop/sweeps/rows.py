@@ -206,7 +206,7 @@ def _with_link_of(scene: Scene, made: Made) -> Made:
 
 
 class Made(NamedTuple):
-    """What a row has of its scene, whatever its seed."""
+    """Parts of a row that follow from its scene, whatever its seed."""
 
     group: RowGroup
     tree: Any
@@ -303,7 +303,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 def _paths(path: str, part: Any) -> list[str]:
-    """Where the values stand that a part consists of, and the classes: a part with the same ones is the same."""
+    """Paths of the values and classes that a part consists of: a part with the same ones is the same."""
     if type(part) in ATOMS or type(part) is tuple:
         return [path]
     return [f"{path}.__class__", *[each for field in fields(part)

@@ -22,7 +22,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import ChunkResult, Job, work
 from teleop.sweeps.engine import Measure, choose
-from teleop.sweeps.grid import Grid, check_count, grid, json_value
+from teleop.sweeps.grid import Grid, check_count, clean_values, grid, json_value
 from teleop.sweeps.kernels.functions import digest, file_digest, sources
 from teleop.sweeps.kernels.kernel import available
 from teleop.sweeps.store import METRIC_SOURCES, Store
@@ -56,12 +56,13 @@ class Sweep:
     workers: int = 0  # threads that rows are run by at a time; 0 before any was run
 
     def definition(self) -> dict[str, Any]:
-        """What the folder of this sweep is held to."""
+        """Definition that the folder of this sweep must match."""
         from teleop.version import __version__
 
         own = {one.__name__: digest(sources([one])) for one in self.measures if not isinstance(one, str)}
         return {
-            "scene": self.scene, "fixed": {key: json_value(listed(key, [value])[0]) for key, value in self.fixed.items()},
+            "scene": self.scene,
+            "fixed": {key: json_value(clean_values(key, [value])[0]) for key, value in self.fixed.items()},
             "grid": self.grid.definition(), "metrics": _names(self.measures), "sources": self.sources,
             "version": __version__, **({METRIC_SOURCES: own} if own else {}),
         }

@@ -152,7 +152,7 @@ def read_definition(folder: Path) -> dict[str, Any]:
 
 
 def rows_of(definition: Mapping[str, Any]) -> int:
-    """How many rows the sweep of a definition has; as many as can be numbered if it does not say."""
+    """Number of rows of the sweep of a definition; as many as can be numbered if it does not say."""
     grid = definition.get("grid", {})
     if not {"axes", "seeds"} <= grid.keys():
         return maxsize
@@ -213,7 +213,7 @@ def _short(value: object) -> str:
 
 
 def no_link(path: str, flags: int) -> int:
-    """What opens a file of the folder to be written: never another one that it may link to."""
+    """Open a file of the folder to be written: never another one that it may link to."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
@@ -284,7 +284,7 @@ class RowNumbers:
             yield range(begin, stop)
 
     def _changes(self, number: int, stop: int) -> Iterator[tuple[bool, int]]:
-        """Is the row missing, and its number: the rows below `stop` of a page, of equal bytes in a row the first."""
+        """Yield whether a row is missing, and its number: rows of a page below `stop`, of a run of equal bytes the first."""
         base = number << 12
         for run in re.finditer(rb"\x00+|\xff+|[^\x00\xff]", self._pages[number]):
             begin, byte = base + 8 * run.start(), self._pages[number][run.start()]
@@ -471,7 +471,7 @@ def _row(line: bytes) -> dict[str, Any] | None:
 
 
 def _is_cell(value: Any, level: int = 0) -> bool:
-    """Is it a finite number, a text or a truth, or lists of such as a knob may have?"""
+    """True if a value is a finite number, a text or a truth, or lists of these as a knob may have."""
     kind = type(value)
     if kind is float:
         return bool(-inf < value < inf)

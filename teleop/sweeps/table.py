@@ -63,14 +63,15 @@ class TableColumn:
         return np.asarray(found[self.cells])
 
     def equals(self, value: Any) -> NDArray[np.bool_]:
-        """Whether each row has this value."""
+        """Mask of the rows that have this value."""
         import numpy as np
 
         wanted = json_value(value.item() if isinstance(value, np.generic) else value)
         if self.values is None:
             is_number = isinstance(wanted, int | float) and not isinstance(wanted, bool)
             return np.asarray(self.cells == wanted) if is_number else np.zeros(len(self.cells), bool)
-        fits = [json_value(each) == wanted and isinstance(each, bool) == isinstance(wanted, bool) for each in self.values]
+        fits = [json_value(each) == wanted and isinstance(each, bool) == isinstance(wanted, bool)
+                for each in self.values]
         return np.array(fits, bool)[self.cells] if fits else np.zeros(len(self.cells), bool)
 
 
@@ -192,7 +193,7 @@ class Table:
         return self._column(name).array()
 
     def array(self) -> NDArray[Any]:
-        """All columns but the sentence as one structured array, texts as texts: `np.save` writes it as it is."""
+        """Columns but the sentence as one structured array, texts as texts: `np.save` writes it as it is."""
         import numpy as np
 
         columns = {name: self[name] for name in self._columns if name != "sentence"}
@@ -214,7 +215,7 @@ class Table:
         return _of({name: column.at(keep) for name, column in self._columns.items()}, self.knobs, self.metrics)
 
     def counts(self) -> dict[str, int]:
-        """How many rows ended how: ok, limit cycle, unstable, diverged, refused, and whatever else there is."""
+        """Number of rows for each status: ok, limit cycle, unstable, diverged, refused, and any other."""
         import numpy as np
 
         column = self._columns["status"]
@@ -245,11 +246,11 @@ class Table:
                 file.write(dumps(dict(zip(names, told, strict=True)), allow_nan=False) + "\n")
 
     def __str__(self) -> str:
-        """How many rows ended how, and the first of them."""
+        """Summary of the statuses, and the first rows."""
         return self.text()
 
     def text(self, rows: int | None = None, *, all_by: str = "") -> str:
-        """How many rows ended how, and the first `rows` of them, left out a few.
+        """Summary of the statuses, and the first `rows` rows; left out, a few.
 
         `all_by`: what the last line says to type for all of them; left out, a call of this.
         """

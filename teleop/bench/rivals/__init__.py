@@ -1,4 +1,4 @@
-"""What a sweep costs a scenario-step (one scene, one tick of 1 ms) beside what people take for it otherwise.
+"""The cost of a scenario-step of a sweep (one scene, one tick of 1 ms) beside the usual ways to work it out.
 
 The canonical scene on one thread: wave law over 50 ms each way, the slave against a wall. Each rival is as cheap as we
 could get it with an error of at most 1e-6 m in either handle's position, and that error is measured and printed:

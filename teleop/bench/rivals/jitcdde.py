@@ -108,7 +108,7 @@ def integrator(jit: Any, scene: Scene, tolerance: float) -> Any:
 
 @contextmanager
 def _quietly() -> Iterator[None]:
-    """What it compiles with reads any pyproject.toml of the folder, prints, and turns on the log of every library."""
+    """Compile in an empty folder, without output: setuptools reads any pyproject.toml and turns on every log."""
     root = logging.getLogger()
     kept = root.level, root.handlers[:]
     try:

@@ -215,7 +215,7 @@ def master(scene: Scene) -> MasterStep:
 
 def batch(scene: Scene, k_e: Any, wall: Callable[..., Any] = located, watch: Watch | None = None
           ) -> Callable[[], tuple[Any, Any]]:
-    """One run of `scene` with walls of each `k_e` (N/m): it returns the rms and the greatest tracking error (m) by row.
+    """Prepare a run of `scene` with walls of each `k_e` (N/m): it returns rms and greatest tracking error (m) by row.
 
     The link is a constant delay of whole ticks. `watch` is told k, x_m, x_s and the waves u, w sent at every tick.
     """

@@ -1,4 +1,4 @@
-"""What a rival is made of, and ours beside it."""
+"""Parts common to the rivals, and our own engine beside them."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def tell_once(why: str) -> None:
 
 
 def _wrong(path: Path, found: os.stat_result, shared: bool) -> str | None:
-    """What lets another user write at `path`; `shared`: that its bits do is no harm."""
+    """Say what lets another user write at `path`; `shared`: its permission bits do no harm."""
     if found.st_uid not in (0, os.geteuid()):
         return f"{path} belongs to another user (number {found.st_uid}); set XDG_CACHE_HOME to a folder of your own"
     if stat.S_ISLNK(found.st_mode):
@@ -130,7 +130,7 @@ def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, start
 
 
 def folder() -> Path:
-    """Where the modules are kept."""
+    """Folder of the modules."""
     home = os.environ.get("XDG_CACHE_HOME")
     return (Path(home) if home else Path.home() / ".cache") / "bilateral-teleop" / "kernels"
 
@@ -201,7 +201,7 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: C
     words = {
         "row": (len(gives(scene, measures)) + 2) * width, "width": width,
         "one_path": f"({''.join(f'(paths[(t * {len(axes)} + {i}) * {width}], 0.0), ' for i in axes)})",
-        "own_paths": f"({''.join(f'(whole_numbers(paths, t * {len(axes)} + {i}), 0.0), ' for i in axes)})",
+        "own_paths": f"({''.join(f'(tile_of(paths, t * {len(axes)} + {i}), 0.0), ' for i in axes)})",
     }
     kernels = "".join(KERNEL.format(name=name, reals=len(flat.reals) * width, tree=tree, call=call.format(**words))
                       for name, call in engine.calls.items())
@@ -232,7 +232,7 @@ def jit_at(text: str, lines: Sequence[int], names: dict[str, Any]) -> Any:
 
 
 def part_at(place: str) -> Any:
-    """What stands at "module:name"."""
+    """Find the part at "module:name"."""
     module, _, names = place.partition(":")
     part: Any = import_module(module)
     for name in names.split("."):
@@ -241,7 +241,7 @@ def part_at(place: str) -> Any:
 
 
 def compiled_part(place: str, *inner: str) -> Any:
-    """What stands at "module:name", compiled if it is a function; with `inner`, bound to the function there."""
+    """Compile the part at "module:name" if it is a function; with `inner`, bind it to the function there."""
     return _bound(part_at(place), compiled_part(*inner)) if inner else jitted(part_at(place))
 
 
@@ -274,7 +274,7 @@ def jitted(part: Any) -> Any:
 
 
 def _place(word: str, part: Any) -> str:
-    """Where a part is found again by another process."""
+    """Name the place where another process finds a part."""
     place = f"{part.__module__}:{part.__qualname__}"
     if "<" in place:
         raise NotCompiled(f"{word} is made during the run, not found in a module")

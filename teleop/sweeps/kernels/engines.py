@@ -35,7 +35,7 @@ from teleop.sweeps.kernels.figures import magnitude_of
 from teleop.sweeps.kernels.functions import branches, without_lanes
 from teleop.sweeps.kernels.kernel import Kernel, KernelOutput, NotVectorised, RowInputs, gives, leaves, tree_of
 from teleop.sweeps.kernels.lanes import WIDTH, any_lane, broadcast, invert, lane, load, select, with_lane
-from teleop.sweeps.kernels.rings import as_lanes, at, get, put, put_selected, ring, store, whole_numbers
+from teleop.sweeps.kernels.rings import as_lanes, at, get, put, put_selected, ring, store, tile_of
 
 __all__ = [
     "any_lane",
@@ -52,12 +52,12 @@ __all__ = [
     "ring",
     "select",
     "store",
-    "whole_numbers",
+    "tile_of",
 ]
 
 
 def lane_part(place: str) -> Any:
-    """What stands at "module:name", for lanes."""
+    """Compile the part at "module:name" for lanes."""
     return _for_lanes(part_at(place))
 
 
@@ -72,7 +72,7 @@ def _for_lanes(part: Any) -> Any:
 
 
 def lane_end(place: str) -> Any:
-    """An end of a law at "module:name", for lanes: all that it answers with has lanes."""
+    """An end of a law at "module:name", for lanes: all of its results have lanes."""
     end = part_at(place)
     why = without_lanes(end)
     try:
@@ -160,7 +160,7 @@ Tile = list[tuple[RowInputs, tuple[int, int]]]  # rows with their lags, one for 
 
 
 def call_kernel(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> list[list[KernelOutput]]:
-    """What a kernel tells of the rows of these tiles; `figures`: how many it gives of each."""
+    """Run the rows of these tiles by a kernel; `figures`: their number for each row."""
     import numpy as np
 
     rows = [row for tile in tiles for row, _ in tile]
@@ -203,7 +203,7 @@ def by_lane(numbers: Any) -> Any:
 
 
 def address_of(array: Any) -> int:
-    """Where the numbers of an array are, in memory."""
+    """Address in memory of an array's numbers."""
     address: int = array.ctypes.data
     return address
 
@@ -227,9 +227,9 @@ VECTOR = CompiledEngine(
              (lags[t * 2 * {width}], lags[(2 * t + 1) * {width}], out[t * {row}:(t + 1) * {row}],
               start, window, last))""",
         "apart": """\
-        loop(given, law, dt, ticks, x_limit, start_m, start_s, (whole_numbers(plays, 2 * t), 0), (whole_numbers(plays, 2 * t + 1), 0),
-             sizes[t], {own_paths}, held,
-             (as_lanes(whole_numbers(lags, 2 * t)), as_lanes(whole_numbers(lags, 2 * t + 1)), out[t * {row}:(t + 1) * {row}],
+        loop(given, law, dt, ticks, x_limit, start_m, start_s, (tile_of(plays, 2 * t), 0),
+             (tile_of(plays, 2 * t + 1), 0), sizes[t], {own_paths}, held,
+             (as_lanes(tile_of(lags, 2 * t)), as_lanes(tile_of(lags, 2 * t + 1)), out[t * {row}:(t + 1) * {row}],
               start, window, last))""",
     },
 )

@@ -1,4 +1,4 @@
-"""What a kernel keeps in place of a record: running figures of its run, worked out tick by tick in order.
+"""Running figures of a kernel, in place of a record: worked out tick by tick in order.
 
 Where eight scenes run side by side, each leaves the run at a tick of its own: `LaneFigures`.
 """
@@ -30,24 +30,24 @@ SWINGS = tuple([f"swing_{i}" for i in range(LATE)])  # of the late windows, see 
 
 
 def accumulators(name: str) -> tuple[str, ...]:
-    """What is kept along the run for a figure."""
+    """Name the values accumulated along the run for a figure."""
     return ("rest",) if name in SWINGS else KEPT[name]
 
 
 class FigureLayout(NamedTuple):
-    """What a kernel keeps along its run: figures by themselves, groups of sums, and the largest steps of the force."""
+    """Running values of a kernel: figures by themselves, groups of sums, and the largest steps of the force."""
 
     along: tuple[str, ...]
     groups: tuple[str, ...]
     ranks: int
 
     def names(self, axes: int) -> tuple[str, ...]:
-        """All that it gives, in order."""
+        """Names of all its values, in order."""
         return (*self.along, *[name for group in self.groups for name in names(group, axes, self.ranks)])
 
 
 def layout(measures: Sequence[str], ticks: int) -> FigureLayout:
-    """What is kept for these figures of a run of so many ticks."""
+    """Choose the running values for these figures of a run of so many ticks."""
     along = [name for name in measures if name in ALONG or name in SWINGS]
     if "energy_out" in measures and "E_port_min" not in along:
         along.append("E_port_min")
@@ -109,7 +109,7 @@ MAGNITUDES = {1: magnitude1, 2: magnitude2, 3: magnitude3}  # written out: of fe
 
 
 class Past(Record):
-    """What one axis was some ticks ago, and how far the other end is from it."""
+    """State of one axis some ticks ago, and the distance of the other end from it."""
 
     old_x: Any  # places of the master, m
     old_f: Any  # forces on what the slave touches, N
@@ -338,7 +338,7 @@ class RunningFigures(Recorder):
             *[getattr(self, name) - getattr(self, name) for name in self.ledgers]]) < 1.0 else 0.0
 
     def figure(self, run: Run, name: str) -> Any:
-        """One figure."""
+        """Work out a figure at the end."""
         if name == "x_err_rms":
             return root_mean(self.x_err_sq, self.n_x)
         if name == "x_err_max":

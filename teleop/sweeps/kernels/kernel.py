@@ -53,7 +53,7 @@ class NotVectorised(NotCompiled):
 
 
 class RowInputs(NamedTuple):
-    """What a row gives its kernel."""
+    """Inputs of a kernel for one row."""
 
     tree: Any  # its numbers, see `tree_of`
     flat: Leaves | None  # the same laid out flat, for compiled code
@@ -128,7 +128,7 @@ def functions_of_kernel(scene: Scene, bodies: Bodies) -> dict[str, Any]:
 
 
 def names_of(scene: Scene, bodies: Bodies, made: Lines | None = None) -> dict[str, Any]:
-    """All that the lines of a kernel find by name."""
+    """Names that the lines of a kernel use, with their functions."""
     return (made or kernel_lines(scene, ())).names(functions_of_kernel(scene, bodies))
 
 
@@ -151,7 +151,7 @@ def plain_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kerne
 
 
 def has_packets(plan: Plan | None) -> bool:
-    """Is a plan one of packets; that of a one-port scene says which ticks are left out, and no more."""
+    """True if a plan is of packets; the plan of a one-port scene has the skipped ticks alone."""
     return plan is not None and plan.sent > 0
 
 
@@ -166,7 +166,7 @@ class LinkSchedule(NamedTuple):
 
     @classmethod
     def of(cls, plans: tuple[Plan | None, Plan | None]) -> LinkSchedule:
-        """That of two plans."""
+        """Schedule of two plans."""
         import numpy as np
 
         plays = tuple([np.zeros(0, np.int64) if plan is None else plan.played_at for plan in plans])
@@ -176,7 +176,7 @@ class LinkSchedule(NamedTuple):
         return cls(plans, plays, orders, lags, size)  # type: ignore[arg-type]  # there are two
 
     def lags_until(self, ran: int) -> tuple[int, int]:
-        """Those of a run that ended early."""
+        """Lags of a run that ended early."""
         if ran == len(self.plays[0]):
             return self.lags
         fwd, bwd = [median_age(play[:ran]) if has_packets(plan) else 1 for plan, play in
@@ -215,7 +215,8 @@ def figures(kernel: Kernel, rows: Sequence[RowInputs]) -> list[tuple[str, int, d
     outputs = kernel.run(rows, lags)
     # The lag of a run that ended early is that of the messages which came until then.
     own = {i: rows[i].schedule.lags_until(-output.ran) for i, output in enumerate(outputs) if output.ran < 0}
-    if any(group in AT_END for name in kernel.measures for group in accumulators(name)):  # and its last ticks are others
+    # Its last ticks are others too.
+    if any(group in AT_END for name in kernel.measures for group in accumulators(name)):
         for i, lag in own.items():
             if outputs[i].ran != -rows[i].ticks:
                 outputs[i], = kernel.run([rows[i]._replace(ticks=-outputs[i].ran)], [lag])
@@ -287,12 +288,12 @@ def _take(tree: Any, shape: list[Any], reals: array[float], wholes: list[int], a
 
 
 def expression(shape: tuple[Any, ...], real: str, class_name: Callable[[type], str]) -> str:
-    """What puts the tree together, `real` with the number of a float in place of `{}`."""
+    """Expression that puts the tree together, `real` with the number of a float in place of `{}`."""
     numbers = {"f": count(), "i": count(), "a": count()}
     words = {"f": real, "i": "wholes[{}]", "a": "arrays[{}]"}
 
     def some(code: Any, rest: Iterator[Any]) -> list[str]:
-        """What one code stands for: several numbers side by side, or one tuple."""
+        """Terms of one code: several numbers side by side, or one tuple."""
         if isinstance(code, int) or code in words:
             kind, many = ("f", code) if isinstance(code, int) else (code, 1)
             return [words[kind].format(next(numbers[kind])) for _ in range(many)]
@@ -331,7 +332,7 @@ class Schedules:
 
 
 def schedules_key(scene: Scene, seed: int) -> Any:
-    """What tells the schedules of a row from those of others."""
+    """Key that tells the schedules of a row from other rows'."""
     left_out = scene.left_out_m, scene.left_out_s
     if scene.link is None and left_out == (None, None) and scene.deadband is None:
         return "no link", scene.ticks, scene.dt_ns
@@ -362,7 +363,7 @@ def path_of(scene: Scene, *, compiled: bool) -> Any:
 
 
 def _once(key: Any, ticks: int, make: Callable[[], Any]) -> Any:
-    """What `make` gives, kept for the next rows; the oldest is dropped. A key that cannot be kept is made anew."""
+    """Call `make` once for a key and keep its result; the oldest is dropped. A key without a hash is made anew."""
     try:
         if (held := _HELD.get(key)) is not None:
             return held[0]

@@ -187,7 +187,7 @@ def tree_value(context: Any, builder: Any, kind: Any, result: Any, value: Any, l
 
 
 def numbers_in(kind: Any) -> int:
-    """How many numbers a tree of this type has."""
+    """Count the numbers of a tree of this type."""
     return sum(map(numbers_in, kind.types)) if isinstance(kind, types.BaseTuple) else 1
 
 
@@ -205,7 +205,7 @@ def broadcast(typingctx: Any, tree: Any) -> Any:  # noqa: ARG001
 
 @intrinsic_of
 def lane(typingctx: Any, tree: Any, i: Any) -> Any:  # noqa: ARG001
-    """The tree of lane i; what has no lanes is the same in all."""
+    """The tree of lane i; a number without lanes is the same in all."""
 
     def lane_type(kind: Any) -> Any:
         return {lanes: types.float64, mask: types.boolean}.get(kind, kind)

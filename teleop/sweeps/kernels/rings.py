@@ -1,4 +1,4 @@
-"""What a compiled kernel keeps and reads by number: `teleop.stages.memory` in compiled code.
+"""Memory of a compiled kernel, read by number: `teleop.stages.memory` in compiled code.
 
 A ring is a flat array of rows, as many as a power of two, with a message such as its own; a row holds the numbers of
 one message, each with all of its lanes. A path or a schedule stands at an address, which goes with a number such as
@@ -76,11 +76,11 @@ class _Rows:
         self.rows = [builder.mul(builder.and_(each, last), row) for each in places]
 
     def offsets(self) -> Iterator[Any]:
-        """Where each number of a message stands in its row."""
+        """Offset of each number of a message in its row."""
         return (ir.Constant(WHOLE, i) for i in count(0, _width(self.message)))
 
     def pointer(self, i: int, offset: Any) -> Any:
-        """Where a number stands: with all of its lanes, or that of lane i by itself."""
+        """Pointer to a number: with all of its lanes, or of lane i by itself."""
         at = self.builder.add(self.rows[i], offset)
         if self.wide and not self.apart:
             return address(self.context, self.builder, self.kind, self.array, at)
@@ -189,7 +189,7 @@ def _vector(builder: Any, kind: Any, numbers: list[Any]) -> Any:
 
 
 @intrinsic_of
-def whole_numbers(typingctx: Any, numbers: Any, t: Any) -> Any:  # noqa: ARG001
+def tile_of(typingctx: Any, numbers: Any, t: Any) -> Any:  # noqa: ARG001
     """Eight whole numbers of a flat array, from place 8 t on, as a tuple."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:

@@ -12,7 +12,7 @@ from teleop.stages.end import Axis, End, Record, Run
 
 
 class AxisSums(Record):
-    """Of one axis of both ends."""
+    """Sums of one axis of both ends."""
 
     v_was: float  # of the master at the tick before, m/s
     f_was: float
@@ -30,13 +30,13 @@ class AxisSums(Record):
 
 
 class Rank(Record):
-    """One of the largest steps of the force so far."""
+    """Size of one of the largest steps of the force so far."""
 
     size: float
 
 
 class BandCrossings(Record):
-    """How often the velocity of one axis of the master turns from below a band about 0 to above it."""
+    """Crossings of a band about 0, from below to above it, by the velocity of one axis of the master."""
 
     v_was: float
     level: float  # of the band, m/s: a quarter of the greatest speed in the third of the late windows from the end
@@ -74,7 +74,7 @@ class FigureSums(Record):
         self.turns = tuple([BandCrossings(f"{i}_turns") for i in range(axes)])
 
     def cells(self, group: str, places: Sequence[Record]) -> tuple[tuple[Record, str], ...]:
-        """Where the sums of a group are, in the order of `teleop.simulation.felt.names`; `places`: the master first."""
+        """Records and fields of a group's sums, ordered as `teleop.simulation.felt.names`; `places`: the master first."""
         if group == "turns":
             return tuple([cell for place, own in zip(places, self.turns, strict=False) for cell in (
                 (place, "rise"), (place, "fall"), (own, "count"), (own, "first"), (own, "latest"))])
@@ -151,7 +151,7 @@ class FigureSums(Record):
             self.jump = self.below
 
     def keep(self, run: Run) -> None:
-        """What the next tick is compared with."""
+        """Keep the values that the next tick is compared with."""
         for m, own in zip(run.m.axes, self.axes, strict=True):
             own.v_was = m.v
             own.f_was = m.f
@@ -168,7 +168,7 @@ class FigureSums(Record):
                 self.end_slave(run)
 
     def end_slave(self, run: Run) -> None:
-        """Those of the slave."""
+        """Forces and positions of the slave at the end."""
         for s, own in zip(run.s.axes, self.axes, strict=True):
             if "f_env" in self.groups:
                 own.end_f_env = own.end_f_env + s.f_ext

@@ -1,4 +1,4 @@
-"""What a sweep's picture shows of a table: the knobs that vary, the panels, the scales, the colours."""
+"""Layout of a sweep's picture of a table: the knobs that vary, the panels, the scales, the colours."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class PlottedKnob:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Panel:
-    """One pair of axes: its title and its rows."""
+    """A pair of axes: its title and its rows."""
 
     title: str
     rows: NDArray[Any]
@@ -140,7 +140,7 @@ def panels_of(table: Table, knobs: list[PlottedKnob]) -> tuple[list[Panel], str]
 
 
 def thinned(counts: list[int], most: int, numeric: list[bool]) -> list[int]:
-    """How many values of each knob to show, so that their combinations are at most `most`.
+    """Choose the number of values of each knob to show, so that their combinations are at most `most`.
 
     As few knobs as possible lose any, rather numbers than texts, as few as possible are down to one, and then as many
     combinations as possible are shown.

@@ -56,7 +56,7 @@ def _edges(axis: Any, values: tuple[Any, ...]) -> NDArray[Any]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapPoints:
-    """What became of the rows at each point of a panel that has any."""
+    """Outcome of the rows at each point of a panel that has any."""
 
     x: NDArray[Any]  # (points,) the place of the value of each knob
     y: NDArray[Any]
@@ -66,7 +66,7 @@ class MapPoints:
 
 
 def map_points(table: Table, rows: NDArray[Any], x: PlottedKnob, y: PlottedKnob, metric: str | None) -> MapPoints:
-    """What became of `rows` over the knobs x and y: how they ended, and the metric, if one is asked for."""
+    """Outcome of `rows` over the knobs x and y: their status, and the metric if one is shown."""
     import numpy as np
 
     at, where = np.unique(x.place[rows] * len(y.values) + y.place[rows], return_inverse=True)

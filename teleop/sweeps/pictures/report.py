@@ -1,4 +1,4 @@
-"""What is told of a sweep's folder: its summary over all the calls that ran rows, its refusals, its picture."""
+"""Report of a sweep's folder: its summary over all the calls that ran rows, its refusals, its picture."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PictureRequest(NamedTuple):
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
-    """What summary.json of a sweep's folder holds; nothing if there is none that can be read."""
+    """Content of summary.json of a sweep's folder; empty if there is none that can be read."""
     try:
         got: dict[str, Any] = parse(read_bytes(folder / SUMMARY, links=False))
         _SHAPE(got, SUMMARY)
@@ -79,7 +79,7 @@ def sentences(table: Table) -> dict[str, int]:
 
 
 def status_rows(table: Table) -> list[tuple[str, str]]:
-    """How many rows ended how, and why some were refused."""
+    """Rows of the report: the number of rows for each status, and the reasons of those refused."""
     counts = ", ".join(f"{grouped(count)} {status}" for status, count in table.counts().items())
     rows = [("status", f"{grouped(len(table))} done: {counts or 'none'}")]
     every = [*sentences(table).items()]
@@ -94,7 +94,7 @@ def status_rows(table: Table) -> list[tuple[str, str]]:
 
 
 def sentence_of(table: Table, rows: int | None) -> str:
-    """How many of a sweep's rows are done, and how they ended."""
+    """Sentence with the number of rows done, and for each status."""
     counts = ", ".join(f"{grouped(count)} {status}" for status, count in table.counts().items())
     of = "" if rows is None else f" of {grouped(rows)}"
     return f"{grouped(len(table))}{of} rows done: {counts or 'none'}"
@@ -106,7 +106,7 @@ def report_of(folder: Path, rows: int) -> str:
 
 
 def told_of(folder: Path, shown: int | None = None) -> tuple[dict[str, Any], str, Table]:
-    """What a sweep's folder holds: as JSON can hold it, as text, and its rows. It may still be growing.
+    """Content of a sweep's folder: as JSON can hold it, as text, and its rows. It may still be growing.
 
     `shown`: the rows that the text has; left out, the first few.
     """
@@ -143,7 +143,7 @@ def picture(table: Table, folder: Path, told: Mapping[str, Any], request: Pictur
 
 
 def words_of(told: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:
-    """What a legend says of a status, with the bounds that all rows had; `units` as `knob_units` gives them."""
+    """Words of a legend for each status, with the bounds that all rows had; `units` as `knob_units` gives them."""
     limits, unit = told.get("limits") or {}, units.get("x_limit", "m")
     words = {}
     if "x_limit" in limits:
@@ -185,7 +185,7 @@ def with_picture(answer: Answer, table: Table, folder: Path, told: Mapping[str, 
 
 def report(folder: Path, request: PictureRequest, formats: Sequence[str] = (), *, trust: bool = False,
            rows: int | None = None) -> Answer:
-    """What `teleop report` says of a sweep, which is drawn in `formats`; none: not at all. `trust`: see `picture`.
+    """Answer of `teleop report` for a sweep, which is drawn in `formats`; none: not at all. `trust`: see `picture`.
 
     `rows`: how many it shows; left out, the first few. Raises `Refused` if it cannot be drawn.
     """
@@ -208,5 +208,5 @@ def check_run(at: Path, request: PictureRequest) -> None:
 
 
 def limits_of(first: Scene, turned: Collection[str]) -> dict[str, float]:
-    """What every row of a sweep runs for (s) and may not pass (m), as its first row has it; without what is turned."""
+    """Duration (s) and position limit (m) of every row of a sweep, as the first has them; without knobs of the grid."""
     return {key: getattr(first, key) for key in ("duration", "x_limit") if key not in turned}
