@@ -203,15 +203,15 @@ def cost(rounds: int, against: str | None = None) -> list[Row]:
     """Rows of (what, us a tick, the same of the tree `against` and the ratio): medians over `rounds`."""
     hot = str(Path(__file__).resolve())
     trees = [ROOT] if against is None else [ROOT, Path(against).resolve()]
-    found: dict[Path, list[dict[str, float]]] = {tree: [] for tree in trees}
+    figures: dict[Path, list[dict[str, float]]] = {tree: [] for tree in trees}
     with TemporaryDirectory() as folder:
         for i in range(rounds):
             for tree in trees if i % 2 else trees[::-1]:
                 parts: dict[str, float] = json.loads(_python(tree, "-P", hot))
                 out = Path(folder) / f"{i}-{trees.index(tree)}"
-                found[tree].append({LIVE: _live(tree, out), WHOLE: parts.pop("whole"),
+                figures[tree].append({LIVE: _live(tree, out), WHOLE: parts.pop("whole"),
                                     **{f"  {part}": us for part, us in parts.items()}})
-    medians = [{what: median(one[what] for one in each) for what in each[0]} for each in found.values()]
+    medians = [{what: median(one[what] for one in each) for what in each[0]} for each in figures.values()]
     return [(what, f"{us:.1f} us", "" if len(medians) < 2 else _beside(us, medians[1][what]))
             for what, us in medians[0].items()]
 

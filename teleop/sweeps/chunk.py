@@ -59,9 +59,9 @@ def evaluate_metric(metric: Callable[[Result], float], result: Result, row: Mapp
     try:
         value: Any = metric(result)
     except (Exception, SystemExit) as error:
-        said = " ".join(_text(str, error).split())
+        message = " ".join(_text(str, error).split())
         raise MetricMistake(_sentence(metric, _innermost(metric, error), row,
-                                      f"raised {type(error).__name__}{': ' * bool(said)}{said}")) from error
+                                      f"raised {type(error).__name__}{': ' * bool(message)}{message}")) from error
     if getattr(value, "shape", None) == () and hasattr(value, "item"):  # of numpy
         value = value.item()
     if not isinstance(value, Real):
@@ -80,9 +80,9 @@ def _sentence(metric: Callable[..., Any], place: str, row: Mapping[str, Any], wh
 
 def _innermost(metric: Callable[..., Any], error: BaseException) -> str:
     """The innermost line in the metric's own file, where that is known, " (path:line)"."""
-    own = getattr(getattr(metric, "__code__", None), "co_filename", None)
-    lines = [line for frame, line in walk_tb(error.__traceback__) if frame.f_code.co_filename == own]
-    return file_line(own, lines[-1]) if own is not None and lines else ""
+    file = getattr(getattr(metric, "__code__", None), "co_filename", None)
+    lines = [line for frame, line in walk_tb(error.__traceback__) if frame.f_code.co_filename == file]
+    return file_line(file, lines[-1]) if file is not None and lines else ""
 
 
 def _first_line(metric: Callable[..., Any]) -> str:
@@ -185,8 +185,8 @@ def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], sto
     return maker.groups, None
 
 
-def _tell(row: Row, status: str, ticks: int, told: dict[str, float]) -> None:
-    row.update(status=status, ticks=ticks, **told)
+def _tell(row: Row, status: str, ticks: int, figures_of_row: dict[str, float]) -> None:
+    row.update(status=status, ticks=ticks, **figures_of_row)
 
 
 def _refuse(row: Row, refused: Refused) -> None:
@@ -225,7 +225,7 @@ def _batches(group: RowGroup) -> Iterator[Sequence[Ready]]:
 def _run(group: RowGroup, batch: Sequence[Ready], measures: Sequence[Measure]) -> Kernel:
     """Run rows of a group at once and write its outcome into each. Returns the kernel that ran them."""
     kernel = group.kernel
-    rows, given = [], []
+    rows, inputs = [], []
     for ready in batch:
         try:
             schedule = ready.schedules.schedule()
@@ -233,34 +233,34 @@ def _run(group: RowGroup, batch: Sequence[Ready], measures: Sequence[Measure]) -
             _refuse(ready.row, refused)
             continue
         rows.append(ready)
-        given.append(RowInputs(ready.tree, ready.flat, group.ticks, schedule, ready.path, ready.still, ready.frame))
+        inputs.append(RowInputs(ready.tree, ready.flat, group.ticks, schedule, ready.path, ready.still, ready.frame))
     if not rows:
         return kernel
     try:
-        found = _figures(kernel, given)
+        results = _figures(kernel, inputs)
     except NotCompiled as why:
         kernel = kernel if kernel.fallback is None else kernel.fallback(str(why))
         if kernel.engine in ("plain", group.kernel.engine):
             raise
-        found = _figures(kernel, given)
+        results = _figures(kernel, inputs)
     except Refused as refused:  # the law's doing; plain Python runs one row at a time
         _refuse(rows[0].row, refused)
         return kernel
     of_plan_too = [name for name in measures if name in OF_PLAN]
-    for ready, (status, ran, told) in zip(rows, found, strict=True):
+    for ready, (status, ran, values) in zip(rows, results, strict=True):
         if of_plan_too:
             drawn = _of_schedules(ready.schedules, ran)
-            told |= {str(name): drawn[str(name)] for name in of_plan_too if name in drawn}
+            values |= {str(name): drawn[str(name)] for name in of_plan_too if name in drawn}
         if "swing_end" not in measures:  # it is worked out for the status
-            told.pop("swing_end", None)
-        _tell(ready.row, status, ran, told)
+            values.pop("swing_end", None)
+        _tell(ready.row, status, ran, values)
     return kernel
 
 
-def _figures(kernel: Kernel, given: Sequence[RowInputs]) -> list[tuple[str, int, dict[str, float]]]:
+def _figures(kernel: Kernel, inputs: Sequence[RowInputs]) -> list[tuple[str, int, dict[str, float]]]:
     """Run rows by a kernel. Raises `NotCompiled` where compiled code did, so that plain Python names the line."""
     try:
-        return figures(kernel, given)
+        return figures(kernel, inputs)
     except (NotCompiled, Refused, MemoryError):
         raise
     except Exception as error:  # of a law, or of another part that was compiled with it
@@ -270,21 +270,21 @@ def _figures(kernel: Kernel, given: Sequence[RowInputs]) -> list[tuple[str, int,
 
 
 def _of_schedules(schedules: Schedules, ran: int) -> dict[str, float]:
-    told: dict[str, float] = {}
+    values: dict[str, float] = {}
     schedule = schedules.schedule()
     for way, plan, play in zip(("fwd", "bwd"), schedule.plans, schedule.plays, strict=True):
         if has_packets(plan):
-            told |= of_plan(way, play[:ran], schedules.dt)
-    return told
+            values |= of_plan(way, play[:ran], schedules.dt)
+    return values
 
 
 def _recorded(scene: Scene, seed: int, measures: Sequence[Measure], row: Row) -> tuple[str, int, dict[str, float]]:
     """A whole run, for figures that need its record. Raises `MetricMistake`."""
     result = run(scene, seed=seed)
-    told = {}
+    values = {}
     for one in measures:
         if not isinstance(one, str):
-            told[one.__name__] = evaluate_metric(one, result, row)
+            values[one.__name__] = evaluate_metric(one, result, row)
         elif one in result.metrics:
-            told[one] = result.metrics[one]
-    return result.status, result.ticks, told
+            values[one] = result.metrics[one]
+    return result.status, result.ticks, values

@@ -71,9 +71,9 @@ class SweepOutcome(NamedTuple):
 
     def write(self, command: Sequence[str]) -> dict[str, Any]:
         """Write summary.json, which says how far the sweep has come and how, into its folder; what it holds now."""
-        told = joined(self.summary(command), summary_of(self.folder))
-        write(told, self.folder)
-        return told
+        document = joined(self.summary(command), summary_of(self.folder))
+        write(document, self.folder)
+        return document
 
     def text(self) -> str:
         """The sweep in a few lines."""
@@ -83,8 +83,8 @@ class SweepOutcome(NamedTuple):
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
         rows = [("sweep", f"{self.plan.scene}, {grouped(count)} {plural(count, 'row')} of {turned}"),
                 *[("law", law) for law in self._laws()], *status_rows(self.table)]
-        found = not self.ran and len(self.table) == len(self.plan.grid)
-        rows.append(("engine", "none, for no row was left to run: summary.json says which ran them" if found else
+        nothing_left = not self.ran and len(self.table) == len(self.plan.grid)
+        rows.append(("engine", "none, for no row was left to run: summary.json says which ran them" if nothing_left else
                      f"{self.plan.engine}: {self.plan.why}{threads}{rate}"))
         rows += [("", f"{number_of(ran, 'row')} by {engine}: {why}")
                  for (engine, why), ran in self.plan.ran.items() if why]
@@ -108,12 +108,12 @@ def command(args: Namespace) -> Answer:
                       latin=args.latin, random=args.random, cluster=args.cluster, workers=args.workers,
                       engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds,
                       request=picture if formats else None, stream=None if args.json else sys.stderr)
-    told = swept.write(args.typed)
-    answer = Answer(swept.text(), {**swept.summary(args.typed), "runs": told["runs"]}).kept_in(swept.folder)
+    summary = swept.write(args.typed)
+    answer = Answer(swept.text(), {**swept.summary(args.typed), "runs": summary["runs"]}).kept_in(swept.folder)
     if swept.interrupted:
         answer = answer._replace(text=f"{answer.text}\ninterrupted: the same command goes on from here")
     if formats:
-        answer = with_picture(answer, swept.table, swept.folder, told, picture, formats)
+        answer = with_picture(answer, swept.table, swept.folder, summary, picture, formats)
     return answer._replace(code=INTERRUPTED if swept.interrupted else DONE)
 
 
@@ -176,11 +176,11 @@ def carry_out(
 
 def in_common(first: Scene, turned: Collection[str]) -> dict[str, object]:
     """The parameters that all rows of a sweep have: those of the first row without the knobs that are `turned`."""
-    found = {name: value for name, value in parameters(first).items() if name not in turned}
-    law = found.get("law")
+    shared = {name: value for name, value in parameters(first).items() if name not in turned}
+    law = shared.get("law")
     if isinstance(law, dict):
-        found["law"] = {name: value for name, value in law.items() if f"law.{name}" not in turned}
-    return found
+        shared["law"] = {name: value for name, value in law.items() if f"law.{name}" not in turned}
+    return shared
 
 
 def _check_picture(plan: Sweep, request: PictureRequest) -> None:

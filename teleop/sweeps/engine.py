@@ -59,16 +59,16 @@ _KERNELS: dict[Any, Kernel] = {}
 _MAKING = Lock()
 
 
-def choose(asked: str | None, scene: Scene, rows: int, measures: Sequence[Measure]) -> tuple[str, str]:
+def choose(engine: str | None, scene: Scene, rows: int, measures: Sequence[Measure]) -> tuple[str, str]:
     """The engine of a sweep of so many rows like `scene`, and why. Raises `Refused` for one that cannot be had."""
-    if asked is not None:
-        if asked not in ENGINES:
-            raise Refused(f"there is no engine {asked!r}; {nearest(asked, ENGINES)}")
-        if asked != "plain":
+    if engine is not None:
+        if engine not in ENGINES:
+            raise Refused(f"there is no engine {engine!r}; {nearest(engine, ENGINES)}")
+        if engine != "plain":
             from teleop.sweeps.kernels.compiled import need_numba
 
-            need_numba(asked)
-        return asked, "as asked for"
+            need_numba(engine)
+        return engine, "as asked for"
     if needs_record(measures, scene):
         return "plain", WHOLE
     seconds = PLAIN * scene.ticks * rows
@@ -134,7 +134,7 @@ class Stamps:
     """The constants that kernels are compiled with as they are now; looked at once in the time of a chunk."""
 
     def __init__(self, engine: str) -> None:
-        self._plain, self._found = engine == "plain", dict[Any, object]()
+        self._plain, self._constants = engine == "plain", dict[Any, object]()
 
     def of(self, prepared: Prepared) -> object:
         """Constants of a scene's kernel."""
@@ -142,9 +142,9 @@ class Stamps:
             return None
         scene, bodies = prepared.scene, prepared.bodies
         key = type(scene.laws[0]), *bodies.functions().values()
-        if key not in self._found:
-            self._found[key] = tuple(constants([*names_of(scene, bodies).values()]))
-        return self._found[key]
+        if key not in self._constants:
+            self._constants[key] = tuple(constants([*names_of(scene, bodies).values()]))
+        return self._constants[key]
 
 
 def _make_kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
@@ -154,15 +154,15 @@ def _make_kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine
 
     make = getattr(import_module("teleop.sweeps.kernels.engines"), f"{engine}_kernel")
     two = prepare(replace(scene, duration=min(scene.ticks, 2) * scene.dt))  # ticks, enough to have it compiled
-    given = RowInputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
+    inputs = RowInputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
                    LinkSchedule.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))
     try:
         try:
             kernel: Kernel = make(scene, bodies, measures)
-            figures(kernel, [given])
+            figures(kernel, [inputs])
         except (OSError, EOFError, UnpicklingError, UnicodeDecodeError):  # the cache is full, or damaged
             kernel = make(scene, bodies, measures, keep=False)
-            figures(kernel, [given])
+            figures(kernel, [inputs])
     except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
         return _make_kernel(scene, bodies, measures, FALLBACK[engine], cause(error))
     return kernel._replace(why=why, fallback=lambda reason: _make_kernel(

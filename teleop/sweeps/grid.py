@@ -43,8 +43,8 @@ class Grid:
                     raise Refused(f'a knob is called by a text, not {name!r}; write for example {{"delay": [0.1]}}')
                 if name in OWN:
                     seeds = "write seeds=30, or type --seeds 30"
-                    other = seeds if name == "seed" else "give the scene's knob another name"
-                    raise Refused(f"{name} is a column of every row and cannot be a knob of the grid too; {other}")
+                    cure = seeds if name == "seed" else "give the scene's knob another name"
+                    raise Refused(f"{name} is a column of every row and cannot be a knob of the grid too; {cure}")
             for point in points:
                 if len(point) != len(names):
                     raise Refused(f"{', '.join(names)} are turned together, so a point has {len(names)} values, not "
@@ -82,7 +82,7 @@ class Grid:
         """The number, the knobs and the seed of several rows. Raises `Refused` as `point`."""
         count, seeds, knobs = len(self), self.seeds, self.knobs
         axes = [(len(points), points) for _, points in reversed(self.axes)]
-        found = []
+        rows_of = []
         for row in numbers:
             if not 0 <= row < count:
                 raise Refused(f"the grid has no row {row}; write a number from 0 to {count - 1}")
@@ -91,8 +91,8 @@ class Grid:
             for length, points in axes:
                 at, which = divmod(at, length)
                 values = points[which] + values
-            found.append((row, dict(zip(knobs, values, strict=True)), seeds[seed]))
-        return found
+            rows_of.append((row, dict(zip(knobs, values, strict=True)), seeds[seed]))
+        return rows_of
 
     def definition(self) -> dict[str, Any]:
         """The grid as JSON can hold it, equal for grids with equal rows; of a long axis its ends and its SHA-256."""
@@ -256,16 +256,16 @@ def _seeds(seeds: int | Iterable[int]) -> tuple[int, ...] | range:
         if seeds < 1:
             raise Refused(f"a sweep has at least one seed, not {seeds}; write seeds=1")
         return range(int(seeds))
-    kept = seeds if isinstance(seeds, range) else None
-    if kept is None and (isinstance(seeds, bool | str) or not isinstance(seeds, Iterable)):
+    even_seeds = seeds if isinstance(seeds, range) else None
+    if even_seeds is None and (isinstance(seeds, bool | str) or not isinstance(seeds, Iterable)):
         raise Refused(f"seeds are a whole number of them or a list, not {seeds!r}; write seeds=30 or seeds=[1, 2, 5]")
-    each = [*kept[:1], *kept[-1:]] if kept is not None else list(_entries("seeds", seeds))  # type: ignore[arg-type]  # no int
+    each = [*even_seeds[:1], *even_seeds[-1:]] if even_seeds is not None else list(_entries("seeds", seeds))  # type: ignore[arg-type]  # no int
     for seed in each:
         if not _is_whole(seed, 0, (1 << 64) - 1):
             raise Refused(f"a seed must be a whole number from 0 to 2^64-1, not {seed!r}; write for example "
                           "seeds=[1, 2]")
-    if kept is not None:
-        return range(kept[0], kept[0] + 1) if len(kept) == 1 else kept
+    if even_seeds is not None:
+        return range(even_seeds[0], even_seeds[0] + 1) if len(even_seeds) == 1 else even_seeds
     whole = tuple(int(seed) for seed in each)
     if len(set(whole)) < len(whole):
         raise Refused("the same seed is in the list twice and would give the same rows; write each seed once")
@@ -365,14 +365,14 @@ def parse_ranges(texts: Sequence[str]) -> dict[str, Range | list[Any]]:
     """
     ranges: dict[str, Range | list[Any]] = {}
     for names, parts in _split_axes(texts):
-        written, (first, *more) = ",".join(names), parts[0].split(":")
+        written, (first, *rest) = ",".join(names), parts[0].split(":")
         if len(names) > 1:
             raise Refused(f"{written}: a sample draws each knob by itself; write each as a text of its own, "
                           f"{names[0]}=0:0.5 {names[1]}=1,2")
-        if not (more and _is_number(first)):
+        if not (rest and _is_number(first)):
             ranges[written] = [_value(written, part) for part in parts]
-        elif len(parts) == 1 and _is_number(more[0]) and more[1:] in ([], ["log"]):
-            ranges[written] = _range(written, parts[0], first, more[0], log=len(more) == 2)
+        elif len(parts) == 1 and _is_number(rest[0]) and rest[1:] in ([], ["log"]):
+            ranges[written] = _range(written, parts[0], first, rest[0], log=len(rest) == 2)
         else:
             raise Refused(f"{written}={','.join(parts)} is not LOW:HIGH or LOW:HIGH:log; write for example "
                           f"{written}=0:0.5, or {written}=1e2:1e6:log by equal ratios")
@@ -419,9 +419,9 @@ def _parted(text: str, gap: str | re.Pattern[str]) -> list[str]:
             quote = sign
         elif sign in "([{)]}":
             depth += 1 if sign in "([{" else -1
-        elif not depth and (found := gap.match(text, at)):
+        elif not depth and (match := gap.match(text, at)):
             parts.append(text[start:at])
-            start = at = found.end()
+            start = at = match.end()
             continue
         at += 1
     if quote or depth:
@@ -432,17 +432,17 @@ def _parted(text: str, gap: str | re.Pattern[str]) -> list[str]:
 def _values(name: str, text: str) -> list[Any]:
     """Read a value, or the values of a range."""
     text = text.strip()
-    first, *more = text.split(":")
-    if not more or not _is_number(first):
+    first, *rest = text.split(":")
+    if not rest or not _is_number(first):
         return [_value(name, text)]
-    if len(more) not in (2, 3) or not _is_number(more[0]) or more[2:] not in ([], ["log"]):
+    if len(rest) not in (2, 3) or not _is_number(rest[0]) or rest[2:] not in ([], ["log"]):
         raise Refused(f"{name}={text} is not LOW:HIGH:N or LOW:HIGH:N:log; write for example {name}=0:0.5:51, "
                       f"or {name}=1e2:1e6:9:log by equal ratios")
-    count = more[1].strip()
+    count = rest[1].strip()
     if not (count.isascii() and count.isdecimal() and len(count) < 10 and 2 <= int(count) <= MOST_VALUES):
         raise Refused(f"{name}={text} must have a whole number of values from 2 to {MOST_VALUES}, both ends included, "
-                      f"not {count!r}; write for example {name}={first}:{more[0]}:51")
-    return _range(name, text, first, more[0], log=len(more) == 3).values(int(count))
+                      f"not {count!r}; write for example {name}={first}:{rest[0]}:51")
+    return _range(name, text, first, rest[0], log=len(rest) == 3).values(int(count))
 
 
 def _range(name: str, text: str, low: str, high: str, *, log: bool) -> Range:

@@ -121,9 +121,9 @@ class RowMaker:
         return None
 
     def _check(self, thing: type | Callable[..., Any]) -> None:
-        own = own_file(thing)
-        if own is not None and self._files.get(own.path, own.digest) != own.digest:
-            raise Edited(f"{own.path} was edited while the sweep ran; the rows until then are of the file as it was, "
+        file = own_file(thing)
+        if file is not None and self._files.get(file.path, file.digest) != file.digest:
+            raise Edited(f"{file.path} was edited while the sweep ran; the rows until then are of the file as it was, "
                          "so run the sweep again, one with --out into another folder")
 
     def _make(self, scene: Scene) -> Made:
@@ -138,8 +138,8 @@ class RowMaker:
     def _worked_out(self, scene: Scene) -> KnownScene:
         """A scene worked out in full."""
         prepared = prepare(scene)
-        bodies, there = prepared.bodies, available(scene)
-        wanted = tuple([one for one in self._measures if isinstance(one, str) and one in there])
+        bodies, offered = prepared.bodies, available(scene)
+        wanted = tuple([one for one in self._measures if isinstance(one, str) and one in offered])
         rest, frame = still(scene, path_of(scene, compiled=self._engine != "plain")), frame_of(scene)
         if rest:
             wanted = (*wanted, *[str(one) for one in self._measures if one in AT_REST and (
@@ -174,11 +174,11 @@ class RowMaker:
             bodies = bodies._replace(slaves=slaves)
         if changed <= {"link"}:
             return made
-        own = prepare(scene, bodies if "hand" not in changed else None)
+        prepared = prepare(scene, bodies if "hand" not in changed else None)
         if "law" in changed and not known.has_law_like(scene):
             return None
-        if "hand" in changed and (own.bodies.instead != bodies.instead or
-                                  not known.has_functions_of(scene, own.bodies.slaves)):
+        if "hand" in changed and (prepared.bodies.instead != bodies.instead or
+                                  not known.has_functions_of(scene, prepared.bodies.slaves)):
             return None
         path = path_of(scene, compiled=made.flat is not None) if "hand" in changed else made.path
         rest = still(scene, path) if "hand" in changed else made.still
@@ -188,9 +188,10 @@ class RowMaker:
             if self._engine != "plain" and "law" in changed:  # it may be this law's numbers that are not compiled
                 return None
             group = self._group(made.group.kernel, made.group.ticks, None, rest, made.frame)
-            return made._replace(group=group, tree=tree_of(scene, own.bodies, compiled=False), path=path, still=rest)
+            tree = tree_of(scene, prepared.bodies, compiled=False)
+            return made._replace(group=group, tree=tree, path=path, still=rest)
         try:
-            flat = leaves(tree_of(scene, own.bodies))
+            flat = leaves(tree_of(scene, prepared.bodies))
         except NotCompiled:
             return None
         if flat.shape != made.flat.shape:

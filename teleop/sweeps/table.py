@@ -55,12 +55,12 @@ class TableColumn:
             return self.cells.copy()
         kinds = {type(value) for value in self.values}
         if kinds and kinds <= {int, float, type(None)} and kinds != {type(None)}:
-            found = np.array([nan if value is None else float(value) for value in self.values])
+            array = np.array([nan if value is None else float(value) for value in self.values])
         else:
-            found = np.empty(len(self.values), bool if kinds == {bool} else object)
+            array = np.empty(len(self.values), bool if kinds == {bool} else object)
             for i, value in enumerate(self.values):
-                found[i] = value
-        return np.asarray(found[self.cells])
+                array[i] = value
+        return np.asarray(array[self.cells])
 
     def equals(self, value: Any) -> NDArray[np.bool_]:
         """Mask of the rows that have this value."""
@@ -220,8 +220,9 @@ class Table:
 
         column = self._columns["status"]
         number = np.bincount(column.cells, minlength=len(column.values or ())).tolist()
-        found = {str(value): count for value, count in zip(column.values or (), number, strict=False) if count}
-        return {status: found[status] for status in (*STATUSES, *sorted({*found} - {*STATUSES})) if status in found}
+        count_of = {str(value): count for value, count in zip(column.values or (), number, strict=False) if count}
+        order = (*STATUSES, *sorted({*count_of} - {*STATUSES}))
+        return {status: count_of[status] for status in order if status in count_of}
 
     def to_csv(self, path: Path | str) -> None:
         """Write all rows under a heading; a cell without a value is empty, numbers are to their last digit."""
@@ -242,8 +243,9 @@ class Table:
 
         with _whole(Path(path)) as file:
             for names, values in self._values(self._file_columns()):
-                told = (None if type(value) is float and not isfinite(value) else json_value(value) for value in values)
-                file.write(dumps(dict(zip(names, told, strict=True)), allow_nan=False) + "\n")
+                cells = (None if type(value) is float and not isfinite(value) else json_value(value)
+                         for value in values)
+                file.write(dumps(dict(zip(names, cells, strict=True)), allow_nan=False) + "\n")
 
     def __str__(self) -> str:
         """Summary of the statuses, and the first rows."""
@@ -264,8 +266,8 @@ class Table:
         cells = self._values(names, shown)
         lines = [[printable(name, most=60) for name in names], *([*map(_short, values)] for _, values in cells)]
         to_type = all_by or f"print(table.text({len(self)}))"
-        more = [f"... and {len(self) - shown} more: {to_type}"] if len(self) > shown else []
-        return "\n".join([f"{first}: {ended}", columns(lines, left=()), *more])
+        tail = [f"... and {len(self) - shown} more: {to_type}"] if len(self) > shown else []
+        return "\n".join([f"{first}: {ended}", columns(lines, left=()), *tail])
 
     def _column(self, name: str) -> TableColumn:
         if name not in self._columns:

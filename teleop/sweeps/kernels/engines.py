@@ -165,7 +165,7 @@ def call_kernel(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int)
 
     rows = [row for tile in tiles for row, _ in tile]
     if rows[0].flat is not None and rows[0].flat.arrays and len(tiles) > 1:  # arrays of its own for each tile
-        return [told for tile in tiles for told in call_kernel(kernel, [tile], figures)]
+        return [outputs for tile in tiles for outputs in call_kernel(kernel, [tile], figures)]
     width, first = len(tiles[0]), rows[0]
     flats = [row.flat for row in rows if row.flat is not None]
     reals = np.frombuffer(b"".join([flat.reals for flat in flats])).reshape(len(tiles), width, -1)
@@ -188,10 +188,10 @@ def _for_each(parts: Sequence[Any], numbers: Callable[[Any], Sequence[int]]) -> 
     """Whole numbers of each part as rows of an array; worked out once for a part that is there several times."""
     import numpy as np
 
-    found = {id(part): part for part in parts}
-    if len(found) == 1:
+    distinct = {id(part): part for part in parts}
+    if len(distinct) == 1:
         return np.tile(np.array(numbers(parts[0]), dtype=np.int64), (len(parts), 1))
-    worked_out = {key: numbers(part) for key, part in found.items()}
+    worked_out = {key: numbers(part) for key, part in distinct.items()}
     return np.array([worked_out[id(part)] for part in parts], dtype=np.int64)
 
 
@@ -238,12 +238,12 @@ VECTOR = CompiledEngine(
 def scalar_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool = True) -> Kernel:
     """The kernel of a scene's structure. Raises `NotCompiled` where a part of it is not made for that."""
     kernel = module(scene, bodies, measures, SCALAR, keep=keep).kernel
-    told = gives(scene, measures)
+    names = gives(scene, measures)
 
     def run(rows: Sequence[RowInputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
-        return [one for one, in call_kernel(kernel, [[each] for each in zip(rows, lags, strict=True)], len(told))]
+        return [one for one, in call_kernel(kernel, [[each] for each in zip(rows, lags, strict=True)], len(names))]
 
-    return Kernel("scalar", tuple(measures), told, frame_of(scene), run)
+    return Kernel("scalar", tuple(measures), names, frame_of(scene), run)
 
 
 def vector_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool = True) -> Kernel:
@@ -252,31 +252,31 @@ def vector_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep
 
     if structure_of(scene).m.has.inner or structure_of(scene).s.has.inner:
         raise NotVectorised("a body with an inner state is moved one scene at a time")
-    if any(own.has.leaves_out and "compute_delay" in [stage.name for stage in own.stages]
-           for own in (structure_of(scene).m, structure_of(scene).s)):
+    if any(part.has.leaves_out and "compute_delay" in [stage.name for stage in part.stages]
+           for part in (structure_of(scene).m, structure_of(scene).s)):
         raise NotVectorised("a computation delay at an end that leaves out ticks runs one scene at a time")
     if leaves(tree_of(scene, bodies)).arrays:
         raise NotVectorised("a part with a list among its numbers runs one scene at a time")
     kernels = module(scene, bodies, measures, VECTOR, keep=keep)
-    given = gives(scene, measures)
+    names = gives(scene, measures)
 
     def run(rows: Sequence[RowInputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
         tiles: dict[str, list[tuple[int, Tile]]] = {"alike": [], "apart": []}
         for first in range(0, len(rows), WIDTH):
             tile = list(zip(rows[first:first + WIDTH], lags[first:first + WIDTH], strict=True))
             one, lag = tile[0]
-            alike = all(row.schedule is one.schedule and row.path is one.path and own == lag for row, own in tile)
+            alike = all(row.schedule is one.schedule and row.path is one.path and part == lag for row, part in tile)
             tile += [tile[-1]] * (WIDTH - len(tile))  # lanes without a row of their own repeat the last
             tiles["alike" if alike else "apart"].append((first, tile))
-        found: dict[int, KernelOutput] = {}
+        results: dict[int, KernelOutput] = {}
         for name, several in tiles.items():
             if several:
                 try:
-                    told = call_kernel(getattr(kernels, name), [tile for _, tile in several], len(given))
+                    outputs = call_kernel(getattr(kernels, name), [tile for _, tile in several], len(names))
                 except NumbaError as error:  # compiled at the first call of its name
                     raise NotVectorised(f"rows of schedules of their own have no lanes: {cause(error)}") from error
-                for (first, _), ones in zip(several, told, strict=True):
-                    found |= enumerate(ones, first)
-        return [found[i] for i in range(len(rows))]
+                for (first, _), ones in zip(several, outputs, strict=True):
+                    results |= enumerate(ones, first)
+        return [results[i] for i in range(len(rows))]
 
-    return Kernel("vector", tuple(measures), given, frame_of(scene), run, WIDTH)
+    return Kernel("vector", tuple(measures), names, frame_of(scene), run, WIDTH)

@@ -1,6 +1,6 @@
 """Running figures of a kernel, in place of a record: worked out tick by tick in order.
 
-Where eight scenes run side by side, each leaves the run at a tick of its own: `LaneFigures`.
+Where eight scenes run side by side, each leaves the run at its own tick: `LaneFigures`.
 """
 
 from __future__ import annotations
@@ -179,19 +179,19 @@ class RunningFigures(Recorder):
         self.sums = FigureSums(axes, wanted.groups, wanted.ranks)
         self.cells = tuple([cell for group in wanted.groups for cell in self.sums.cells(group, self.places)])
 
-    def begin(self, run: Run, asked: Any, size: int) -> None:
+    def begin(self, run: Run, request: Any, size: int) -> None:
         """Before the first tick."""
-        self.lag_x = asked[0]
-        self.lag_f = asked[1]
+        self.lag_x = request[0]
+        self.lag_f = request[1]
         self.size = size
         if "x_err" in self.keeps:
             self.x_err_sq = self.x_err_max = 0.0
-            for m, own in zip(run.m.axes, self.axes, strict=True):
-                own.old_x = ring(m.x, size)
+            for m, acc in zip(run.m.axes, self.axes, strict=True):
+                acc.old_x = ring(m.x, size)
         if "f_err" in self.keeps:
             self.f_err_sq = self.f_err_max = 0.0
-            for m, own in zip(run.m.axes, self.axes, strict=True):
-                own.old_f = ring(m.x, size)
+            for m, acc in zip(run.m.axes, self.axes, strict=True):
+                acc.old_f = ring(m.x, size)
         for name in ("f_m_max", "f_s_max", "f_h_max", "f_env_max"):
             if name in self.keeps:
                 setattr(self, name, 0.0)
@@ -204,12 +204,12 @@ class RunningFigures(Recorder):
             self.g_s_min = 1.0
         self.told_m = self.told_s = self.told_of = 0.0
         if "rest" in self.keeps:
-            self.start = self.next = asked[-3]
-            self.window = asked[-2]
+            self.start = self.next = request[-3]
+            self.window = request[-2]
             self.swing_0 = self.swing_1 = self.swing_2 = self.swing_3 = 0.0
             for place in self.places:
                 place.low = place.high = place.rise = place.fall = 0.0
-        self.sums.begin(run, asked)
+        self.sums.begin(run, request)
 
     def step(self, run: Run, k: int) -> None:
         """After both ends' tick k."""
@@ -248,7 +248,7 @@ class RunningFigures(Recorder):
         if "free" in self.groups:
             self.sums.feel(run, k)
         if "jerk" in self.groups:
-            self.sums.smooth(run, self.magnitude(*[a.f - own.f_was for a, own in zip(
+            self.sums.smooth(run, self.magnitude(*[a.f - acc.f_was for a, acc in zip(
                 run.m.axes, self.sums.axes, strict=True)]), k)
         if "free" in self.groups or "jerk" in self.groups:
             self.sums.keep(run)
@@ -266,24 +266,24 @@ class RunningFigures(Recorder):
 
     def track_x(self, run: Run, k: int) -> None:
         """The slave's place against the master's of `lag_x` ticks ago, 0 before there is one."""
-        for m, own in zip(run.m.axes, self.axes, strict=True):
-            put(own.old_x, k, self.size, place_of_law(run.m, m))
+        for m, acc in zip(run.m.axes, self.axes, strict=True):
+            put(acc.old_x, k, self.size, place_of_law(run.m, m))
         self.n_x = k + 1 - self.lag_x
-        for s, own in zip(run.s.axes, self.axes, strict=True):
-            past = get(own.old_x, k - self.lag_x, self.size)
-            own.d_x = place_of_law(run.s, s) - past if k >= self.lag_x else 0.0
-        err = self.magnitude(*[own.d_x for own in self.axes])
+        for s, acc in zip(run.s.axes, self.axes, strict=True):
+            past = get(acc.old_x, k - self.lag_x, self.size)
+            acc.d_x = place_of_law(run.s, s) - past if k >= self.lag_x else 0.0
+        err = self.magnitude(*[acc.d_x for acc in self.axes])
         self.x_err_sq = self.x_err_sq + err * err
         self.x_err_max = most(self.x_err_max, err)
 
     def track_f(self, run: Run, k: int) -> None:
         """The master's force against that on what the slave touches of `lag_f` ticks ago, 0 before there is one."""
-        for s, own in zip(run.s.axes, self.axes, strict=True):
-            put(own.old_f, k, self.size, force_of_law(run.s, s))
+        for s, acc in zip(run.s.axes, self.axes, strict=True):
+            put(acc.old_f, k, self.size, force_of_law(run.s, s))
         self.n_f = k + 1 - self.lag_f
-        for m, own in zip(run.m.axes, self.axes, strict=True):
-            own.d_f = m.f - get(own.old_f, k - self.lag_f, self.size) if k >= self.lag_f else 0.0
-        err = self.magnitude(*[own.d_f for own in self.axes])
+        for m, acc in zip(run.m.axes, self.axes, strict=True):
+            acc.d_f = m.f - get(acc.old_f, k - self.lag_f, self.size) if k >= self.lag_f else 0.0
+        err = self.magnitude(*[acc.d_f for acc in self.axes])
         self.f_err_sq = self.f_err_sq + err * err
         self.f_err_max = most(self.f_err_max, err)
 
@@ -296,28 +296,28 @@ class RunningFigures(Recorder):
             self.swing_1 = self.swing_2
             self.swing_2 = self.swing_3
             self.swing_3 = self.swing_4
-            for a, own in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
-                own.low = a.x
-                own.high = a.x
-                own.rise = 0.0
-                own.fall = 0.0
+            for a, acc in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
+                acc.low = a.x
+                acc.high = a.x
+                acc.rise = 0.0
+                acc.fall = 0.0
         elif k > self.start:
-            for a, own in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
-                if a.x < own.low:
-                    own.low = a.x
-                    own.fall = max(own.fall, own.high - a.x)
-                elif a.x > own.high:
-                    own.high = a.x
-                    own.rise = max(own.rise, a.x - own.low)
+            for a, acc in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
+                if a.x < acc.low:
+                    acc.low = a.x
+                    acc.fall = max(acc.fall, acc.high - a.x)
+                elif a.x > acc.high:
+                    acc.high = a.x
+                    acc.rise = max(acc.rise, a.x - acc.low)
                 else:
-                    own.rise = max(own.rise, a.x - own.low)
-                    own.fall = max(own.fall, own.high - a.x)
+                    acc.rise = max(acc.rise, a.x - acc.low)
+                    acc.fall = max(acc.fall, acc.high - a.x)
 
     def close(self, run: Run) -> None:
         """The swing of a window that is over."""
         self.swing_4 = 0.0
-        for own in self.places:
-            self.swing_4 = most(self.swing_4, least(own.rise, own.fall))
+        for acc in self.places:
+            self.swing_4 = most(self.swing_4, least(acc.rise, acc.fall))
 
     def outcome(self, run: Run, ticks: int, complete: bool) -> Any:
         """The ticks that ran, below zero if the run left its bounds in the last of them, and the figures."""
@@ -362,9 +362,9 @@ class LaneFigures(RunningFigures):
     within: Any
     left: Any
 
-    def begin(self, run: Run, asked: Any, size: int) -> None:
-        RunningFigures.begin(self, run, asked, size)
-        self.out = asked[2]
+    def begin(self, run: Run, request: Any, size: int) -> None:
+        RunningFigures.begin(self, run, request, size)
+        self.out = request[2]
         self.alive = True
 
     def lost(self, run: Run, x_limit: Any, k: int) -> Any:

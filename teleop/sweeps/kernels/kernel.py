@@ -101,8 +101,10 @@ def available(scene: Scene) -> frozenset[str]:
 
 @lru_cache(maxsize=256)
 def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
-    there = {"waves": has.waves, "energy": has.energy, "stored": has.stored, "watchdog": watchdog, "told": has.deadband}
-    named = {name for name, what in KEPT.items() if name not in AT_REST and all(there.get(each, True) for each in what)}
+    offered = {"waves": has.waves, "energy": has.energy, "stored": has.stored, "watchdog": watchdog,
+               "told": has.deadband}
+    named = {name for name, what in KEPT.items()
+             if name not in AT_REST and all(offered.get(each, True) for each in what)}
     of_slave = {"x_err_rms", "x_err_max", "f_err_rms", "f_err_max", "f_s_max", "f_env_max", "g_s_min"}
     return frozenset(named if has.slave else named - of_slave - OF_SLAVE)
 
@@ -111,7 +113,7 @@ def kernel_lines(scene: Scene, measures: Sequence[str], *, engine: str = "plain"
     """The lines of a scene's loop that work out `measures` as they go, and at the end whether all is finite."""
     structure = structure_of(scene)
     kinds = {each for name in measures for each in accumulators(name)}
-    m, s = [own._replace(has=own.has._replace(felt=own.has.felt or bool(kinds & felt))) for own, felt in (
+    m, s = [end._replace(has=end.has._replace(felt=end.has.felt or bool(kinds & felt))) for end, felt in (
         (structure.m, {"f_h_max"}), (structure.s, {"f_err", "f_env_max", "free", "f_env", "touch"}))]
     return lines(structure._replace(m=m, s=s), loop, LaneFigures if engine == "vector" else RunningFigures,
                  (structure.axes, structure.has, layout(measures, scene.ticks)), engine=engine)
@@ -214,32 +216,32 @@ def figures(kernel: Kernel, rows: Sequence[RowInputs]) -> list[tuple[str, int, d
     lags = [row.schedule.lags for row in rows]
     outputs = kernel.run(rows, lags)
     # The lag of a run that ended early is that of the messages which came until then.
-    own = {i: rows[i].schedule.lags_until(-output.ran) for i, output in enumerate(outputs) if output.ran < 0}
+    early_lags = {i: rows[i].schedule.lags_until(-output.ran) for i, output in enumerate(outputs) if output.ran < 0}
     # Its last ticks are others too.
     if any(group in AT_END for name in kernel.measures for group in accumulators(name)):
-        for i, lag in own.items():
+        for i, lag in early_lags.items():
             if outputs[i].ran != -rows[i].ticks:
                 outputs[i], = kernel.run([rows[i]._replace(ticks=-outputs[i].ran)], [lag])
-    elif again := [i for i, lag in own.items() if lag != lags[i]]:
-        anew = kernel.run([rows[i] for i in again], [own[i] for i in again])
+    elif again := [i for i, lag in early_lags.items() if lag != lags[i]]:
+        anew = kernel.run([rows[i] for i in again], [early_lags[i] for i in again])
         for i, output in zip(again, anew, strict=True):
             outputs[i] = output
-    found = []
+    results = []
     for row, output in zip(rows, outputs, strict=True):
         status = "ok" if output.ran >= 0 and output.figures[-1] == 1.0 else "diverged"
-        given = dict(zip(kernel.gives, output.figures[:-1], strict=True))
-        named = {name: given[name] for name in kernel.measures if name in given and name not in SWINGS}
+        values = dict(zip(kernel.gives, output.figures[:-1], strict=True))
+        named = {name: values[name] for name in kernel.measures if name in values and name not in SWINGS}
         if "energy_out" in kernel.measures:
-            named["energy_out"] = given_out(given["E_port_min"])
+            named["energy_out"] = given_out(values["E_port_min"])
         ran, frame = abs(output.ran), row.frame or kernel.frame
-        named |= summed(kernel.measures, given, frame, ran, min(frame.last, ran))
+        named |= summed(kernel.measures, values, frame, ran, min(frame.last, ran))
         if row.still is not None and status == "ok":
-            swings = [given[name] for name in SWINGS]
+            swings = [values[name] for name in SWINGS]
             status, named["swing_end"] = row.still.status(swings, sum(row.schedule.lags)), swings[-1]
-            named |= resting(kernel.measures, given, frame, status)
+            named |= resting(kernel.measures, values, frame, status)
         known = {name: float(value) for name, value in named.items() if isfinite(value)}
-        found.append((status, abs(output.ran), known))
-    return found
+        results.append((status, abs(output.ran), known))
+    return results
 
 
 FLOATS = {float}
@@ -257,11 +259,11 @@ class Leaves(NamedTuple):
 
 def leaves(tree: Any) -> Leaves:
     """A tree taken apart. A list is an array; None the whole number 0: what a kernel is given and does not name."""
-    found = Leaves((), array("d"), [], [])
+    flat = Leaves((), array("d"), [], [])
     shape: list[Any] = []
-    _take(tree, shape, *found[1:])
+    _take(tree, shape, *flat[1:])
     kind = tuple(shape)
-    return Leaves(_SHAPES.setdefault(kind, kind), *found[1:])
+    return Leaves(_SHAPES.setdefault(kind, kind), *flat[1:])
 
 
 def _take(tree: Any, shape: list[Any], reals: array[float], wholes: list[int], arrays: list[Any]) -> None:
