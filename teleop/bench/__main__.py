@@ -242,13 +242,13 @@ def main() -> int:
         print(table(lambda name: _rows(name, sys.stderr, args.rounds)))
         return 0
     for name in args.bench or BENCHES:
-        more = {"against": args.against} if name == "cost" and args.against else {"busy": True} if args.busy else {}
-        for what, value, asked in _rows(name, sys.stdout, args.rounds, **more):
-            print(f"{what:<58} {value:<22} {asked}")
+        options = {"against": args.against} if name == "cost" and args.against else {"busy": True} if args.busy else {}
+        for what, value, bound in _rows(name, sys.stdout, args.rounds, **options):
+            print(f"{what:<58} {value:<22} {bound}")
     return 0
 
 
-def _rows(name: str, stream: TextIO, rounds: int, **more: object) -> Sequence[Row]:
+def _rows(name: str, stream: TextIO, rounds: int, **options: object) -> Sequence[Row]:
     """The rows of a bench, whose name goes to `stream`; none of one that an installed package is without."""
     print(f"-- {name}", flush=True, file=stream)
     try:
@@ -258,7 +258,7 @@ def _rows(name: str, stream: TextIO, rounds: int, **more: object) -> Sequence[Ro
             raise
         print("not in an installed package: run it in a clone of the repository", file=stream)
         return ()
-    rows: Sequence[Row] = bench(rounds, **more)
+    rows: Sequence[Row] = bench(rounds, **options)
     return rows
 
 

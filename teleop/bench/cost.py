@@ -84,7 +84,7 @@ class Clock:
         return self.now
 
 
-def made(scene: Scene, e: str, wire: Wire, folder: Path) -> Shell:
+def live_end(scene: Scene, e: str, wire: Wire, folder: Path) -> Shell:
     """A live end that has read its device once."""
     session = Session(master=e == "m", manifest=manifest_of(scene), number=2**63 + 1 if e == "m" else None)
     folder.mkdir()
@@ -137,8 +137,8 @@ def ran(began: Callable[[], None]) -> float:
         module.time = clock
     scene = both_ends(load_scene("hard_wall", duration=2 * TICKS * TICK_NS / 1e9))
     with TemporaryDirectory() as name, bind_udp(("127.0.0.1", 0), "") as near, bind_udp(("127.0.0.1", 0), "") as far:
-        shells = [made(scene, "m", Wire(near, far.getsockname()), Path(name) / "m"),
-                  made(scene, "s", Wire(far, None), Path(name) / "s")]
+        shells = [live_end(scene, "m", Wire(near, far.getsockname()), Path(name) / "m"),
+                  live_end(scene, "s", Wire(far, None), Path(name) / "s")]
         us = asyncio.run(ticks(clock, shells, began))
         for shell in shells:
             shell.recorder.close()
@@ -203,15 +203,15 @@ def cost(rounds: int, against: str | None = None) -> list[Row]:
     """Rows of (what, us a tick, the same of the tree `against` and the ratio): medians over `rounds`."""
     hot = str(Path(__file__).resolve())
     trees = [ROOT] if against is None else [ROOT, Path(against).resolve()]
-    found: dict[Path, list[dict[str, float]]] = {tree: [] for tree in trees}
+    figures: dict[Path, list[dict[str, float]]] = {tree: [] for tree in trees}
     with TemporaryDirectory() as folder:
         for i in range(rounds):
             for tree in trees if i % 2 else trees[::-1]:
                 parts: dict[str, float] = json.loads(_python(tree, "-P", hot))
                 out = Path(folder) / f"{i}-{trees.index(tree)}"
-                found[tree].append({LIVE: _live(tree, out), WHOLE: parts.pop("whole"),
+                figures[tree].append({LIVE: _live(tree, out), WHOLE: parts.pop("whole"),
                                     **{f"  {part}": us for part, us in parts.items()}})
-    medians = [{what: median(one[what] for one in each) for what in each[0]} for each in found.values()]
+    medians = [{what: median(one[what] for one in each) for what in each[0]} for each in figures.values()]
     return [(what, f"{us:.1f} us", "" if len(medians) < 2 else _beside(us, medians[1][what]))
             for what, us in medians[0].items()]
 

@@ -1,4 +1,4 @@
-"""What it costs to hand a run to other tools: files of a demo's 10 s, and the rows of it that go to PlotJuggler.
+"""The cost of handing a run to other tools: files of a demo's 10 s, and the rows of it that go to PlotJuggler.
 
 Processor time of this process alone.
 """
@@ -55,10 +55,10 @@ def export(rounds: int) -> list[Row]:
 def _row(folder: Path) -> float:
     """Time for a row of the demo, us, without the pauses between datagrams."""
     run, encoders, rows, spent = GrowingRun(folder), dict[GrowingEnd, RowEncoder](), 0, 0.0
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there, \
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver, \
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        there.bind(("127.0.0.1", 0))
-        sock.connect(there.getsockname())
+        receiver.bind(("127.0.0.1", 0))
+        sock.connect(receiver.getsockname())
         while not run.over:
             began = time.process_time()
             for some in run.take(ROWS):

@@ -126,21 +126,21 @@ def measured(rates: Flood, between: str, folder: Path, keys: tuple[tuple[str, ..
         for process in started:
             process.kill()
             process.communicate()
-    told = {end: json.loads((folder / end / "summary.json").read_text()) for end in ("master", "slave")}
-    gains = [np.load(folder / end / "trace.npz")[f"g_{end[0]}"].min() for end in told]
+    ends = {end: json.loads((folder / end / "summary.json").read_text()) for end in ("master", "slave")}
+    gains = [np.load(folder / end / "trace.npz")[f"g_{end[0]}"].min() for end in ends]
     return FloodRun(
-        p99=(told["master"]["master"]["late_us"]["p99"], told["slave"]["slave"]["late_us"]["p99"]),
-        used=(_used(told["master"], told["slave"], "bwd"), _used(told["slave"], told["master"], "fwd")),
-        gain=float(min(gains)), status="/".join({end["status"] for end in told.values()}),
+        p99=(ends["master"]["master"]["late_us"]["p99"], ends["slave"]["slave"]["late_us"]["p99"]),
+        used=(_used(ends["master"], ends["slave"], "bwd"), _used(ends["slave"], ends["master"], "fwd")),
+        gain=float(min(gains)), status="/".join({end["status"] for end in ends.values()}),
         thrown=sum(map(int, thrown)) / max(1e-9, float(seconds)),
     )
 
 
-def _used(here: dict[str, Any], there: dict[str, Any], way: str) -> float:
+def _used(end: dict[str, Any], peer: dict[str, Any], way: str) -> float:
     """The share played here of what was sent there."""
-    heard = here["packets"][way]
+    heard = end["packets"][way]
     played = heard["received"] - heard["overtaken"] - heard["late"]
-    return float(played / max(1, there["packets"][way]["sent"]))
+    return float(played / max(1, peer["packets"][way]["sent"]))
 
 
 def _end(name: str, folder: Path, *options: str) -> subprocess.Popen[str]:
@@ -156,5 +156,5 @@ def _sealed(folder: Path) -> dict[str, tuple[tuple[str, ...], ...]]:
     except ImportError:
         return {}
     made = {end: keygen(folder / end) for end in ("master", "slave")}
-    return {"sealed": tuple(("--key", str(made[own][0]), "--peer-fingerprint", made[peer][1])
-                            for own, peer in (("master", "slave"), ("slave", "master")))}
+    return {"sealed": tuple(("--key", str(made[end][0]), "--peer-fingerprint", made[peer][1])
+                            for end, peer in (("master", "slave"), ("slave", "master")))}

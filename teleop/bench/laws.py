@@ -27,7 +27,7 @@ from teleop.simulation.prepared import prepare
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import NAMES
 from teleop.simulation.virtual import run
-from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, leaves, tree_of
+from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, leaves, tree_of
 
 MEASURES = ("x_err_rms", "x_err_max")
 
@@ -43,7 +43,7 @@ def kernel_of(engine: str, scenes: Sequence[Scene], seeds: Sequence[int]) -> Cal
         schedule = schedules.setdefault((scene.link, seed), LinkSchedule.of(link_plans(scene, seed)))
         reference = scene.hand and scene.hand.reference
         path = paths.setdefault(reference, tuple([np.asarray(axis) for axis in reference_samples(scene) or ()]))
-        rows.append(Inputs(None, leaves(tree_of(scene, exact_bodies(scene))), scene.ticks, schedule, path))
+        rows.append(RowInputs(None, leaves(tree_of(scene, exact_bodies(scene))), scene.ticks, schedule, path))
     make = getattr(import_module("teleop.sweeps.kernels.engines"), f"{engine}_kernel")
     kernel = make(scenes[0], exact_bodies(scenes[0]), MEASURES)
     lags = [row.schedule.lags for row in rows]
@@ -88,7 +88,7 @@ def ready(engine: str, name: str, link: str, count: int) -> Callable[[], Any]:
 
 
 def seconds(call: Callable[[], Any]) -> float:
-    """Of the processor."""
+    """Processor time of a call, s."""
     began = time.process_time()
     call()
     return time.process_time() - began
@@ -107,14 +107,14 @@ def laws(rounds: int) -> list[Row]:
     need_numba("scalar")
     names = ["wave", *[name for name in known_laws() if name != "wave" and hasattr(find_law(name), "master")]]
     rows: list[Row] = []
-    for axes, asked in LEAST.items():
+    for axes, bound in LEAST.items():
         ends = {(name, e): ticks(replace(load_scene("hard_wall", law=name), axes=axes, environment=None), e)
                 for name in names for e in NAMES}
         took = least(ends, rounds)
         for name in names:
             each = " / ".join(f"{took[name, e] / TICKS * 1e6:.1f}" for e in NAMES)
             rows.append((f"{name}: live tick in {axes} {'axis' if axes == 1 else 'axes'}, master / slave", f"{each} us",
-                         asked))
+                         bound))
     rows += joints(rounds)
     for engine, count in SIDE.items():
         calls = {name: kernel_of(engine, [load_scene("canonical", law=name, playout="zero", k_e=5e3 + n) for n in
@@ -139,13 +139,13 @@ def joints(rounds: int) -> list[Row]:
 
 def least(calls: dict[Any, Callable[[], Any]], rounds: int) -> dict[Any, float]:
     """The least processor time of each call, s; the calls in turns."""
-    found = dict.fromkeys(calls, float("inf"))
+    seconds_of = dict.fromkeys(calls, float("inf"))
     for call in calls.values():
         call()  # the first compiles
     for _ in range(3 * rounds):
         for key, call in calls.items():
-            found[key] = min(found[key], seconds(call))
-    return found
+            seconds_of[key] = min(seconds_of[key], seconds(call))
+    return seconds_of
 
 
 def ticks(scene: Scene, e: str) -> Callable[[], None]:
@@ -154,19 +154,19 @@ def ticks(scene: Scene, e: str) -> Callable[[], None]:
     forth, back = messages(scene.laws[0])
     heard = back if e == "m" else forth
     make, axes = live_of(scene, e), range(scene.axes)
-    given = []
+    inputs = []
     for k in range(TICKS):
         a = 1e-3 * ((7 * k) % 101 - 50)
         each = tuple([a] * scene.axes)
         rx = tuple([heard(*[a] * len(heard._fields)) for _ in axes])
-        given.append((k, each, each, each, True, k, rx, None, 1.0, tuple([0.5 * a] * scene.axes), 1, 0.0, 1.0))
+        inputs.append((k, each, each, each, True, k, rx, None, 1.0, tuple([0.5 * a] * scene.axes), 1, 0.0, 1.0))
 
     def call() -> None:
         zero = tuple([0.0] * scene.axes)
         end = make(prepared.numbers, law, scene.dt, zero, zero, zero)
         next(end)
         send = end.send
-        for each in given:
+        for each in inputs:
             send(each)
 
     return call

@@ -29,7 +29,7 @@ QUANTILES = {"p50": "median", "p99": "99 %", "p100": "most"}
 
 
 class Alone(NamedTuple):
-    """What the C loop measured of itself: lateness, us; share of a core; its priority under SCHED_FIFO, or 0."""
+    """Figures of the C loop, by itself: lateness, us; share of a core; its priority under SCHED_FIFO, or 0."""
 
     p50: float
     p99: float
@@ -39,7 +39,7 @@ class Alone(NamedTuple):
 
 
 class Round(NamedTuple):
-    """One demo, and the C loop beside it if there is one."""
+    """Figures of a demo, and of the C loop beside it if there is one."""
 
     ends: dict[str, dict[str, Any]]  # the summaries of "master" and "slave"
     c: Alone | None
@@ -61,25 +61,25 @@ def live(rounds: int, *, busy: bool = False) -> list[Row]:
 def rows(runs: Sequence[Round], *, realtime: bool, busy: bool) -> list[Row]:
     """The rows of runs that were asked for alike."""
     which = "" if realtime else "--no-realtime, "
-    told: list[Row] = []
+    lines: list[Row] = []
     for end in ("master", "slave"):
         for quantile, what in QUANTILES.items():
             late = [run.ends[end]["late_us"][quantile] for run in runs]
-            ratios = [own / getattr(run.c, quantile) for own, run in zip(late, runs, strict=True) if run.c is not None]
-            asked = "; asked: at most 1.5" if quantile != "p100" and realtime else ""
-            told.append((f"{which}{end}: tick late by, {what}", f"{median(late):.0f} us",
-                         f"{median(ratios):.2f} times C{asked}" if ratios else ""))
-        told.append((f"{which}{end}: share of a core", f"{median(run.ends[end]['cpu'] for run in runs) * 100:.1f} %",
+            ratios = [us / getattr(run.c, quantile) for us, run in zip(late, runs, strict=True) if run.c is not None]
+            bound = "; asked: at most 1.5" if quantile != "p100" and realtime else ""
+            lines.append((f"{which}{end}: tick late by, {what}", f"{median(late):.0f} us",
+                         f"{median(ratios):.2f} times C{bound}" if ratios else ""))
+        lines.append((f"{which}{end}: share of a core", f"{median(run.ends[end]['cpu'] for run in runs) * 100:.1f} %",
                      "asked: at most 10" if realtime and not busy else ""))
         skipped = [run.ends[end]["skipped"] for run in runs]
-        told.append((f"{which}{end}: ticks left out, of {SECONDS * 1000}: median, most",
+        lines.append((f"{which}{end}: ticks left out, of {SECONDS * 1000}: median, most",
                      f"{median(skipped):.0f}, {max(skipped)}", ""))
     beside = [run.c for run in runs if run.c is not None]
     if not beside:
-        return [*told, ("C loop on a timerfd beside it", reason(), "")]
+        return [*lines, ("C loop on a timerfd beside it", reason(), "")]
     scheduler = f"SCHED_FIFO, {beside[0].priority:.0f}" if beside[0].priority else "scheduled as all"
     late_by = [median(getattr(c, quantile) for c in beside) for quantile in QUANTILES]
-    return [*told, (f"{which}C loop beside it, {scheduler}: late by, median / 99 % / most",
+    return [*lines, (f"{which}C loop beside it, {scheduler}: late by, median / 99 % / most",
                     " / ".join(f"{us:.0f}" for us in late_by) + " us", ""),
             ("  its share of a core, for waking and nothing else", f"{median(c.cpu for c in beside) * 100:.1f} %", "")]
 
@@ -109,8 +109,8 @@ def _round(out: Path, program: str | None, *, realtime: bool) -> Round:
     c = None
     if program is not None:
         time.sleep(START_S)
-        told = subprocess.run([program, "tick", str(SECONDS * 1000), str(PRIORITY if realtime else 0)], check=True,
+        output = subprocess.run([program, "tick", str(SECONDS * 1000), str(PRIORITY if realtime else 0)], check=True,
                               capture_output=True).stdout
-        c = Alone(*map(float, told.split()))
+        c = Alone(*map(float, output.split()))
     summary = json.loads(demo.communicate()[0])
     return Round({end: summary[end] for end in ("master", "slave")}, c)

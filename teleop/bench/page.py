@@ -1,4 +1,4 @@
-"""What the live page costs: lateness of the ends with a page that is looked at, beside a demo without one.
+"""The cost of the live page: lateness of the ends with a page that is looked at, beside a demo without one.
 
 Rounds of both, one after the other. The page is looked at by a client that drags the hand, as a browser's tab does: its
 rows and its orders, without the drawing.
@@ -30,7 +30,7 @@ PAGE = ROOT / "teleop" / "live" / "page" / "page.html"
 
 
 class Looked(NamedTuple):
-    """One run with a page: lateness (us) by end, the server's share of a core, s to the first rows, rows a second."""
+    """Run with a page: lateness (us) by end, the server's share of a core, s to the first rows, rows a second."""
 
     late: dict[str, dict[str, float]]
     cpu: float
@@ -46,15 +46,15 @@ def page(rounds: int) -> list[Row]:
         for i in range(rounds):
             without.append(_without(Path(name) / f"{i}-demo"))
             looked.append(_looked_at(Path(name) / f"{i}-page"))
-    told = []
+    lines = []
     for end in ENDS:
         for quantile, what in (("p50", "median"), ("p99", "99 %")):
             ours, theirs = (median(each[end][quantile] for each in runs) for runs in (
                 [run.late for run in looked], without))
-            asked = "; asked: at most 1.2" if quantile == "p99" else ""
-            told.append((f"{end}: tick late by, {what}: with the page; without", f"{ours:.0f}; {theirs:.0f} us",
-                         f"{ours / theirs:.2f} times{asked}"))
-    return [*told,
+            bound = "; asked: at most 1.2" if quantile == "p99" else ""
+            lines.append((f"{end}: tick late by, {what}: with the page; without", f"{ours:.0f}; {theirs:.0f} us",
+                         f"{ours / theirs:.2f} times{bound}"))
+    return [*lines,
             ("the page's process: share of a core", f"{100.0 * median(run.cpu for run in looked):.1f} %",
              "asked: at most 5"),
             ("from the open socket to the first rows", f"{1e3 * median(run.first for run in looked):.0f} ms",
@@ -93,8 +93,8 @@ def _looked_at(out: Path) -> Looked:
 
 def _address(lines: Any) -> tuple[str, str]:
     for line in lines:
-        if (found := re.search(r"http://(\S+)/\?token=(\S+)", line)) is not None:
-            return found[1], found[2]
+        if (address := re.search(r"http://(\S+)/\?token=(\S+)", line)) is not None:
+            return address[1], address[2]
     raise RuntimeError("the page did not start; type teleop demo --page for the reason")
 
 
@@ -126,6 +126,6 @@ def _drag(host: str, token: str) -> tuple[float, float]:
 
 
 def _processor_time(pid: int) -> float:
-    """What a process has used so far, s; Linux alone tells."""
+    """Processor time that a process has used so far, s; on Linux alone."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -22,13 +22,13 @@ def secure(rounds: int) -> list[Row]:
     from teleop.protocol.secure.secure_link import SecureLink
 
     def associated(mine: Key, theirs: Key) -> tuple[SecureLink, SecureLink]:
-        one = SecureLink.calling(mine, theirs.fingerprint, _THERE)
-        other = SecureLink.listening(theirs, mine.fingerprint, bytes(32))
-        flying = one.due(0)
+        caller = SecureLink.calling(mine, theirs.fingerprint, _THERE)
+        listener = SecureLink.listening(theirs, mine.fingerprint, bytes(32))
+        flying = caller.due(0)
         while flying:
             data, at = flying.pop(0)
-            flying += one.receive(data, _THERE, 0)[1] if at == _HERE else other.receive(data, _HERE, 0)[1]
-        return one, other
+            flying += caller.receive(data, _THERE, 0)[1] if at == _HERE else listener.receive(data, _HERE, 0)[1]
+        return caller, listener
 
     with TemporaryDirectory() as name:
         keys = [load_key(keygen(Path(name) / end)[0]) for end in ("master", "slave")]
@@ -36,14 +36,14 @@ def secure(rounds: int) -> list[Row]:
     seals, opens, meets = [], [], []
     for _ in range(rounds):
         began = time.perf_counter()
-        one, other = associated(keys[0], keys[1])
+        caller, listener = associated(keys[0], keys[1])
         meets.append(time.perf_counter() - began)
         sealing = opening = 0
         for _ in range(PACKETS // 100):
             start = time.perf_counter_ns()
-            sealed = [one.send(plain) for _ in range(100)]
+            sealed = [caller.send(plain) for _ in range(100)]
             between = time.perf_counter_ns()
-            opened = [other.receive(data or b"", _HERE, 0) for data in sealed]
+            opened = [listener.receive(data or b"", _HERE, 0) for data in sealed]
             opening += time.perf_counter_ns() - between
             sealing += between - start
             assert all(got == [plain] for got, _ in opened)

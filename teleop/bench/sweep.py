@@ -113,34 +113,34 @@ def sweep(rounds: int) -> list[Row]:
                 rows.append((f"{what}: {way.name}", f"{median(spent[way.name]):.1f} ns a tick", ""))
                 if theirs:
                     ratio = median(a / b for a, b in zip(spent[way.name], in_c, strict=True))
-                    rows.append(("  over C", f"{ratio:.2f} times", f"asked: at most {way.asked}" if way.asked else
+                    rows.append(("  over C", f"{ratio:.2f} times", f"asked: at most {way.bound}" if way.bound else
                                  "C plays zero"))
     return rows
 
 
-class Way(NamedTuple):
-    """One way to run the rows."""
+class KernelRun(NamedTuple):
+    """Rows with an engine, a schedule and a playout, to be timed."""
 
     name: str
     engine: str
-    asked: float | None  # None: C does something else
+    bound: float | None  # None: C does something else
     rows: int
     energy: bool = False  # the ledgers too, which the C program has not
-    own: bool = False  # a seed for each row
+    apart: bool = False  # a seed for each row
     playout: str | None = None  # None: the scene's own
 
     def ready(self, link: str | None) -> Callable[[], Any]:
         """The rows of this way, to be run."""
         knobs = {} if self.playout is None else {"playout": self.playout}
         scenes = [_canonical(link, energy=self.energy, k_e=5000.0 + 10.0 * n, **knobs) for n in range(self.rows)]
-        return kernel_of(self.engine, scenes, [1 + n if self.own else 1 for n in range(self.rows)])
+        return kernel_of(self.engine, scenes, [1 + n if self.apart else 1 for n in range(self.rows)])
 
 
-CONSTANT = (Way("scalar", "scalar", 1.8, 1), Way("scalar with ledgers", "scalar", 1.8, 1, energy=True),
-            Way("vector", "vector", 1.0, 8), Way("vector with ledgers", "vector", 1.0, 8, energy=True))
-JITTER = tuple(Way(f"{name}, playout {playout}", engine, asked, rows, own=own, playout=playout)
-               for playout, asked in (("zero", 1.8), ("integral", None))
-               for name, engine, rows, own in (("scalar", "scalar", 1, False),
+CONSTANT = (KernelRun("scalar", "scalar", 1.8, 1), KernelRun("scalar with ledgers", "scalar", 1.8, 1, energy=True),
+            KernelRun("vector", "vector", 1.0, 8), KernelRun("vector with ledgers", "vector", 1.0, 8, energy=True))
+JITTER = tuple(KernelRun(f"{name}, playout {playout}", engine, bound, rows, apart=apart, playout=playout)
+               for playout, bound in (("zero", 1.8), ("integral", None))
+               for name, engine, rows, apart in (("scalar", "scalar", 1, False),
                                                ("vector, one schedule for eight rows", "vector", 8, False),
                                                ("vector, a schedule for each row", "vector", 8, True)))
 
@@ -169,14 +169,14 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
     law, hand, wall, slave = scene.law, scene.hand, scene.environments[0], scene.slave
     assert hand is not None
     assert slave is not None
-    own: Any = wall
+    contact: Any = wall
     parts = np.array([scene.dt, law.b, law.K, law.B, scene.master.mass, scene.master.damping, hand.mass, hand.k, hand.d,
-                      slave.mass, slave.damping, own.k, own.d, own.at])
+                      slave.mass, slave.damping, contact.k, contact.d, contact.at])
     schedule = LinkSchedule.of(link_plans(scene, 1))
     play = [schedule.plays[1], schedule.plays[0]]
     path, = reference_samples(scene) or ()
     r, out = np.asarray(path), np.zeros(2)
-    kept = parts, *play, r, out  # the pointers below do not keep them
+    buffers = parts, *play, r, out  # the pointers below do not keep them
 
     def pointer(array: Any) -> ctypes.c_void_p:
         return ctypes.c_void_p(array.ctypes.data)
@@ -184,7 +184,7 @@ def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
     arguments = (pointer(parts), ctypes.c_int64(scene.ticks), pointer(play[0]), pointer(play[1]),
                  ctypes.c_int64(schedule.size), ctypes.c_int64(schedule.lags[0]), pointer(r),
                  pointer(out))
-    return lambda: (program.row(*arguments), kept)
+    return lambda: (program.row(*arguments), buffers)
 
 
 def _program(folder: Path) -> Any:
@@ -291,9 +291,10 @@ def own_laws(rounds: int) -> list[Row]:
 
 def _over_built_in(engine: str, spent: dict[str, list[float]]) -> list[Row]:
     best = {name: min(each) for name, each in spent.items()}  # what else the machine does only adds to them
-    own = best.pop("built in")
-    rows: list[Row] = [(f"{engine}, a row of {SHORT_TICKS} ticks, law built in", f"{own * 1e6:.0f} us", "")]
-    return rows + [(f"  law {name}, over it", f"{each / own:.2f} times", OWN_LAW_BOUND) for name, each in best.items()]
+    built_in = best.pop("built in")
+    rows: list[Row] = [(f"{engine}, a row of {SHORT_TICKS} ticks, law built in", f"{built_in * 1e6:.0f} us", "")]
+    return rows + [(f"  law {name}, over it", f"{each / built_in:.2f} times", OWN_LAW_BOUND)
+                   for name, each in best.items()]
 
 
 def _short_rows_seconds(engine: str, law: str, rows: int) -> float:
@@ -310,10 +311,10 @@ def _copies(folder: Path) -> Iterator[tuple[str, str]]:
     source = (ROOT / "teleop" / "laws" / "wave.py").read_text(encoding="utf-8")
     (folder / "bench_waves.py").write_text(source, encoding="utf-8")
     (folder / "waves_of_a_file.py").write_text(source, encoding="utf-8")
-    told = folder / "bench_waves-1.0.dist-info"
-    told.mkdir()
-    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-waves\nVersion: 1.0\n", encoding="utf-8")
-    (told / "entry_points.txt").write_text("[teleop.laws]\nbench_waves = bench_waves:Wave\n", encoding="utf-8")
+    info = folder / "bench_waves-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-waves\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text("[teleop.laws]\nbench_waves = bench_waves:Wave\n", encoding="utf-8")
     sys.path.append(str(folder))
     invalidate_caches()
     try:

@@ -91,9 +91,9 @@ def ticks(c: str, rounds: int, count: int = TICKS) -> list[Row]:
     theirs, ours, spun = [], [], []
     for _ in range(rounds):
         running = [_started(*OURS, "tick", count, 0), _started(c, "tick", count)]
-        own, other = [_late(process.communicate()[0]) for process in running]
-        ours.append(own)
-        theirs.append(other)
+        alarm, loop = [_late(process.communicate()[0]) for process in running]
+        ours.append(alarm)
+        theirs.append(loop)
         spun.append(_late(_output(*OURS, "tick", count, SPIN_NS)))
     return [
         _summary("C loop on a timerfd: tick late by", theirs),
@@ -105,14 +105,14 @@ def ticks(c: str, rounds: int, count: int = TICKS) -> list[Row]:
 
 
 def round_trips(c: str, rounds: int, count: int = TRIPS) -> list[Row]:
-    """Of 100 bytes over loopback, each end on a core of its own, as two machines would be; then both on one core."""
+    """Time 100 bytes to and fro over loopback, each end on its own core, as on two machines; then both on one core."""
     apart: list[list[Late]] = []
     together: list[list[Late]] = []
     for cores, trips in ((cores_apart(), apart), (cores_apart()[:1] * 2, together)):
-        with _port(c, "echo", core=cores[1]) as there, _port(*OURS, "echo", core=cores[1]) as ours:
+        with _port(c, "echo", core=cores[1]) as c_port, _port(*OURS, "echo", core=cores[1]) as our_port:
             for _ in range(rounds):
                 trips.append([_late(_started(*each, count, core=cores[0]).communicate()[0]) for each in (
-                    (c, "ping", there), (*OURS, "ping", ours), (c, "ping", ours))])
+                    (c, "ping", c_port), (*OURS, "ping", our_port), (c, "ping", our_port))])
     in_c, both, alone = zip(*apart, strict=True)
     one_core = zip(*together, strict=True)
     most = "asked: at most 2.2"
@@ -138,11 +138,11 @@ def relays(c: str, folder: Path, rounds: int) -> list[Row]:
         pairs.append((carried(c, folder, RATE, COUNT, ours=True), carried(c, folder, RATE, COUNT, ours=False)))
         full.append((carried(c, folder, FULL_RATE, FULL_COUNT, ours=True),
                      carried(c, folder, FULL_RATE, FULL_COUNT, ours=False)))
-    own, other = zip(*pairs, strict=True)
+    ours, in_c = zip(*pairs, strict=True)
     lost = [f"{median(one.lost for one in side):.0f}" for side in zip(*full, strict=True)]
     return [
-        _summary(f"C relay, {RATE} packets a second each way: error of the delay", [one.error for one in other]),
-        *_beside("python -m channel: error of the delay", [one.error for one in own], [one.error for one in other]),
+        _summary(f"C relay, {RATE} packets a second each way: error of the delay", [one.error for one in in_c]),
+        *_beside("python -m channel: error of the delay", [one.error for one in ours], [one.error for one in in_c]),
         (f"  lost at {FULL_RATE} a second each way, of {2 * FULL_COUNT}", lost[0], f"{lost[1]} by C; asked: at most 0"),
     ]
 
@@ -164,7 +164,7 @@ def datagrams(folder: Path, count: int) -> None:
 
 
 def carried(c: str, folder: Path, rate: int, count: int, *, ours: bool) -> CarriedLoad:
-    """One relay under one load."""
+    """Run a relay under a load: its losses and its error of the delay."""
     delay_ns = round(DELAY * 1e9)
     load = _started(c, "load", folder / "fwd", folder / "bwd", rate, count, delay_ns, stdin=subprocess.PIPE)
     assert load.stdout is not None
@@ -214,8 +214,8 @@ def _output(*command: Any) -> str:
     return subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True, cwd=ROOT).stdout
 
 
-def _late(told: str) -> Late:
-    return Late(*map(float, told.split()[:2]))
+def _late(output: str) -> Late:
+    return Late(*map(float, output.split()[:2]))
 
 
 def _summary(what: str, times: Sequence[Late]) -> Row:
@@ -227,8 +227,9 @@ def _beside(what: str, ours: Sequence[Late], theirs: Sequence[Late], most: str =
     """The median and the 99 % of ours, with their ratios to C."""
     rows = []
     for place, name in enumerate((f"{what}, median", "  99 %")):
-        ratio = median(own[place] / other[place] for own, other in zip(ours, theirs, strict=True))
-        rows.append((name, f"{median(own[place] for own in ours):.0f} us", f"{ratio:.2f} times C; {most}".rstrip("; ")))
+        ratio = median(mine[place] / in_c[place] for mine, in_c in zip(ours, theirs, strict=True))
+        rows.append((name, f"{median(mine[place] for mine in ours):.0f} us",
+                     f"{ratio:.2f} times C; {most}".rstrip("; ")))
     return rows
 
 

@@ -99,8 +99,8 @@ def mujoco(rounds: int) -> list[Row]:
         opened.append(time.process_time() - began)
     base = took["`teleop run`, one axis"]
     over = {name: median(each / one for each, one in zip(took[name], base, strict=True)) for name in parts}
-    return [*[(name, f"{median(took[name]):.1f} us, {over[name]:.1f} times", asked)
-              for name, (_, asked) in parts.items()],
+    return [*[(name, f"{median(took[name]):.1f} us, {over[name]:.1f} times", bound)
+              for name, (_, bound) in parts.items()],
             ("a robot loaded, and pressed for its stiffness", f"{1e3 * median(opened):.0f} ms", ""),
             *[(text, "", "") for text in robot.notes]]
 

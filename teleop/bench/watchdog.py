@@ -128,7 +128,7 @@ def watchdog(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked), over 4 `rounds` trials of each blow."""
     rows: list[Row] = []
     early = 0
-    for what, (blow, asked) in BLOWS.items():
+    for what, (blow, bound) in BLOWS.items():
         took = []
         for _ in range(TRIALS * rounds):
             with TemporaryDirectory() as name:
@@ -136,7 +136,7 @@ def watchdog(rounds: int) -> list[Row]:
             took.append(one)
             early += before
         rows.append((f"force is zero after {what}: median, most of {len(took)}",
-                     f"{median(took) * 1e3:.1f}, {max(took) * 1e3:.1f} ms", f"asked: at most {asked * 1e3:.0f}"))
+                     f"{median(took) * 1e3:.1f}, {max(took) * 1e3:.1f} ms", f"asked: at most {bound * 1e3:.0f}"))
     rows.append(("the watchdog acted before the blow, in all of these", str(early), "asked: at most 0"))
     return rows
 

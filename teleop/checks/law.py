@@ -28,7 +28,7 @@ from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import ENGINES, kernel_of
-from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, figures, path_of, tree_of
+from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, available, figures, path_of, tree_of
 
 ENDS = ("master", "slave")
 TWO_PORT = ("master_start", "master", "slave_start", "slave")
@@ -351,7 +351,7 @@ def try_engines(law: Any, *, compiled: bool) -> None:
             _, flat = kernel_of(prepared, measures, engine)
             plain = kernel.engine == "plain"
             numbers = tree_of(scene, prepared.bodies, compiled=False) if plain else None
-            rows.append(Inputs(numbers, flat, scene.ticks, schedule, path_of(scene, compiled=not plain)))
+            rows.append(RowInputs(numbers, flat, scene.ticks, schedule, path_of(scene, compiled=not plain)))
         for single, (status, _, swept) in zip(runs, figures(kernel, rows), strict=True):
             for measure in measures:
                 if status != "diverged" and swept.get(measure) != single.metrics.get(measure):

@@ -298,7 +298,7 @@ def _free_sums(trace: Mapping[str, Any], axes: int, follows: NDArray[np.bool_]) 
 
 
 def turns_of(trace: Mapping[str, Any], window: int) -> dict[str, float]:
-    """The sums of `turns` of a trace: see `Turns` of `teleop.sweeps.kernels.sums`."""
+    """The sums of `turns` of a trace: see `BandCrossings` of `teleop.sweeps.kernels.sums`."""
     import numpy as np
 
     from teleop.simulation.rest import risen

@@ -21,8 +21,8 @@ from teleop.scene.scene import Scene
 from teleop.simulation.metrics import of_plan
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import OF_PLAN, WHOLE, Measure
-from teleop.sweeps.kernels.kernel import TICKS, Inputs, Kernel, NotCompiled, Schedules, figures, has_packets
-from teleop.sweeps.rows import Edited, Group, Ready, RowMaker
+from teleop.sweeps.kernels.kernel import TICKS, Kernel, NotCompiled, RowInputs, Schedules, figures, has_packets
+from teleop.sweeps.rows import Edited, Ready, RowGroup, RowMaker
 
 if TYPE_CHECKING:
     from teleop.simulation.result import Result
@@ -45,34 +45,34 @@ class SentMistake:
         self.error = error
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What it is made of again in another process."""
+        """Parts from which another process makes it again."""
         cause = self.error.__cause__
         return _again, (str(self.error), None if cause is None else "".join(format_exception(cause)))
 
 
 class Raised(Exception):
-    """What a metric raised in another process; the text is its traceback there."""
+    """Exception of a metric in another process; the text is its traceback there."""
 
 
-def asked(metric: Callable[[Result], float], result: Result, row: Mapping[str, Any]) -> float:
+def evaluate_metric(metric: Callable[[Result], float], result: Result, row: Mapping[str, Any]) -> float:
     """The metric's value for the run of `row` (`row`, `seed` and the knobs). Raises `MetricMistake`."""
     try:
         value: Any = metric(result)
     except (Exception, SystemExit) as error:
-        said = " ".join(_text(str, error).split())
+        message = " ".join(_text(str, error).split())
         raise MetricMistake(_sentence(metric, _innermost(metric, error), row,
-                                      f"raised {type(error).__name__}{': ' * bool(said)}{said}")) from error
+                                      f"raised {type(error).__name__}{': ' * bool(message)}{message}")) from error
     if getattr(value, "shape", None) == () and hasattr(value, "item"):  # of numpy
         value = value.item()
     if not isinstance(value, Real):
-        what = f"returned {_shown(value)}, which is no number (write a float, nan where there is none)"
+        what = f"returned {_value_text(value)}, which is no number (write a float, nan where there is none)"
         raise MetricMistake(_sentence(metric, _first_line(metric), row, what))
     return float(value)
 
 
 def _sentence(metric: Callable[..., Any], place: str, row: Mapping[str, Any], what: str) -> str:
     knobs = {**{name: value for name, value in row.items() if name not in ("row", "seed")}, "seed": row["seed"]}
-    at = ", ".join(f"{name}={_shown(value)}" for name, value in knobs.items())
+    at = ", ".join(f"{name}={_value_text(value)}" for name, value in knobs.items())
     name = metric.__name__
     return (f"metric {name}{place} {what}, in row {row['row']} ({at}); mend it and sweep again: with out=FOLDER the "
             f"rows before it are kept there, and mended=[{name!r}] goes on behind them")
@@ -80,9 +80,9 @@ def _sentence(metric: Callable[..., Any], place: str, row: Mapping[str, Any], wh
 
 def _innermost(metric: Callable[..., Any], error: BaseException) -> str:
     """The innermost line in the metric's own file, where that is known, " (path:line)"."""
-    own = getattr(getattr(metric, "__code__", None), "co_filename", None)
-    lines = [line for frame, line in walk_tb(error.__traceback__) if frame.f_code.co_filename == own]
-    return file_line(own, lines[-1]) if own is not None and lines else ""
+    file = getattr(getattr(metric, "__code__", None), "co_filename", None)
+    lines = [line for frame, line in walk_tb(error.__traceback__) if frame.f_code.co_filename == file]
+    return file_line(file, lines[-1]) if file is not None and lines else ""
 
 
 def _first_line(metric: Callable[..., Any]) -> str:
@@ -90,7 +90,7 @@ def _first_line(metric: Callable[..., Any]) -> str:
     return "" if code is None else file_line(code.co_filename, code.co_firstlineno)
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     text = value if isinstance(value, str) and value.isidentifier() else " ".join(_text(repr, value).split())
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
@@ -125,7 +125,7 @@ class Job(NamedTuple):
 
 
 class ChunkResult(NamedTuple):
-    """What a job came to: its rows, how many which engine ran, and the time that took."""
+    """Result of a job: its rows, the number of rows that each engine ran, and the time taken."""
 
     rows: list[Row]  # with a mistake those until then
     ran: Counter[tuple[str, str]]  # by engine, and why it was not the one that was asked for
@@ -161,7 +161,7 @@ def work(job: Job, stopped: Callable[[], bool] | None = None) -> ChunkResult:
 
 
 def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], stopped: Callable[[], bool] | None
-              ) -> tuple[list[Group], SentMistake | None]:
+              ) -> tuple[list[RowGroup], SentMistake | None]:
     """The rows of a job, those of one kernel together; what is refused or needs a record has its result already.
 
     With them the mistake of a metric of the user's own, after which no row is made ready.
@@ -185,15 +185,15 @@ def _prepared(job: Job, rows: dict[int, Row], ran: Counter[tuple[str, str]], sto
     return maker.groups, None
 
 
-def _tell(row: Row, status: str, ticks: int, told: dict[str, float]) -> None:
-    row.update(status=status, ticks=ticks, **told)
+def _tell(row: Row, status: str, ticks: int, figures_of_row: dict[str, float]) -> None:
+    row.update(status=status, ticks=ticks, **figures_of_row)
 
 
 def _refuse(row: Row, refused: Refused) -> None:
     row.update(status="refused", ticks=0, sentence=str(refused))
 
 
-def _batches(group: Group) -> Iterator[Sequence[Ready]]:
+def _batches(group: RowGroup) -> Iterator[Sequence[Ready]]:
     """Rows to be handed to their kernel at one call, those with the same schedules together.
 
     Where a kernel runs rows side by side, those that fill its lanes go first. No more rows at a call than have
@@ -222,10 +222,10 @@ def _batches(group: Group) -> Iterator[Sequence[Ready]]:
     yield from (left[first:first + most] for first in range(0, len(left), most))
 
 
-def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> Kernel:
-    """Run rows of a group at once and write into each what it came to; the kernel that ran them."""
+def _run(group: RowGroup, batch: Sequence[Ready], measures: Sequence[Measure]) -> Kernel:
+    """Run rows of a group at once and write its outcome into each. Returns the kernel that ran them."""
     kernel = group.kernel
-    rows, given = [], []
+    rows, inputs = [], []
     for ready in batch:
         try:
             schedule = ready.schedules.schedule()
@@ -233,34 +233,34 @@ def _run(group: Group, batch: Sequence[Ready], measures: Sequence[Measure]) -> K
             _refuse(ready.row, refused)
             continue
         rows.append(ready)
-        given.append(Inputs(ready.tree, ready.flat, group.ticks, schedule, ready.path, ready.still, ready.frame))
+        inputs.append(RowInputs(ready.tree, ready.flat, group.ticks, schedule, ready.path, ready.still, ready.frame))
     if not rows:
         return kernel
     try:
-        found = _figures(kernel, given)
+        results = _figures(kernel, inputs)
     except NotCompiled as why:
         kernel = kernel if kernel.fallback is None else kernel.fallback(str(why))
         if kernel.engine in ("plain", group.kernel.engine):
             raise
-        found = _figures(kernel, given)
+        results = _figures(kernel, inputs)
     except Refused as refused:  # the law's doing; plain Python runs one row at a time
         _refuse(rows[0].row, refused)
         return kernel
     of_plan_too = [name for name in measures if name in OF_PLAN]
-    for ready, (status, ran, told) in zip(rows, found, strict=True):
+    for ready, (status, ran, values) in zip(rows, results, strict=True):
         if of_plan_too:
             drawn = _of_schedules(ready.schedules, ran)
-            told |= {str(name): drawn[str(name)] for name in of_plan_too if name in drawn}
+            values |= {str(name): drawn[str(name)] for name in of_plan_too if name in drawn}
         if "swing_end" not in measures:  # it is worked out for the status
-            told.pop("swing_end", None)
-        _tell(ready.row, status, ran, told)
+            values.pop("swing_end", None)
+        _tell(ready.row, status, ran, values)
     return kernel
 
 
-def _figures(kernel: Kernel, given: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
-    """What rows came to; `NotCompiled` where compiled code raised, so that plain Python says whose line it was."""
+def _figures(kernel: Kernel, inputs: Sequence[RowInputs]) -> list[tuple[str, int, dict[str, float]]]:
+    """Run rows by a kernel. Raises `NotCompiled` where compiled code did, so that plain Python names the line."""
     try:
-        return figures(kernel, given)
+        return figures(kernel, inputs)
     except (NotCompiled, Refused, MemoryError):
         raise
     except Exception as error:  # of a law, or of another part that was compiled with it
@@ -270,21 +270,21 @@ def _figures(kernel: Kernel, given: Sequence[Inputs]) -> list[tuple[str, int, di
 
 
 def _of_schedules(schedules: Schedules, ran: int) -> dict[str, float]:
-    told: dict[str, float] = {}
+    values: dict[str, float] = {}
     schedule = schedules.schedule()
     for way, plan, play in zip(("fwd", "bwd"), schedule.plans, schedule.plays, strict=True):
         if has_packets(plan):
-            told |= of_plan(way, play[:ran], schedules.dt)
-    return told
+            values |= of_plan(way, play[:ran], schedules.dt)
+    return values
 
 
 def _recorded(scene: Scene, seed: int, measures: Sequence[Measure], row: Row) -> tuple[str, int, dict[str, float]]:
     """A whole run, for figures that need its record. Raises `MetricMistake`."""
     result = run(scene, seed=seed)
-    told = {}
+    values = {}
     for one in measures:
         if not isinstance(one, str):
-            told[one.__name__] = asked(one, result, row)
+            values[one.__name__] = evaluate_metric(one, result, row)
         elif one in result.metrics:
-            told[one] = result.metrics[one]
-    return result.status, result.ticks, told
+            values[one] = result.metrics[one]
+    return result.status, result.ticks, values

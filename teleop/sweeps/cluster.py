@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from teleop.sweeps.chunk import ChunkResult, Job
 
 def answer(version: str, files: Sequence[tuple[str, str]], packed: bytes) -> tuple[str, bytes | str]:
-    """What a worker does with a chunk: its address, and the rows as bytes or the sentence why there are none.
+    """Run a chunk at a worker: its address, and the rows as bytes or a sentence with the reason that there are none.
 
     `version`: the sources (see `sources`) that the rows are to be made by. `files`: path and digest of each file with a
     scene or a law that is not built in. Nothing of `packed` is opened before both agree.
@@ -56,22 +56,22 @@ def sources() -> str:
 
     from teleop.version import __version__
 
-    found = sha256()
+    digest = sha256()
     for package in ("teleop", "master", "slave", "channel", "scenarios"):
         for path in sorted((ROOT / package).rglob("*.py"), key=Path.as_posix):
-            found.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
-    return f"{__version__} ({found.hexdigest()[:12]})"
+            digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
+    return f"{__version__} ({digest.hexdigest()[:12]})"
 
 
 def digest_of(path: str) -> str | None:
-    """What is in a file and those beside it that it imports, in short; none if it cannot be read."""
+    """Digest of a file and of the files beside it that it imports; none if it cannot be read."""
     from hashlib import sha256
 
     try:
-        found = sha256(read_bytes(path))
+        digest = sha256(read_bytes(path))
         for name, file in beside(Path(path)).items():
-            found.update(f"\0{name}\0".encode() + read_bytes(file))
-        return found.hexdigest()
+            digest.update(f"\0{name}\0".encode() + read_bytes(file))
+        return digest.hexdigest()
     except OSError:
         return None
 
@@ -94,11 +94,11 @@ def parse_address(text: str) -> str:
     """
     import re
 
-    found = re.fullmatch(r"((?:tcp|tls)://)?(\[[0-9a-fA-F:.%]+\]|[^\s:/@\[\]]+):([0-9]{1,5})", text.strip())
-    if found is None or not 0 < int(found[3]) < 65536:
+    parts = re.fullmatch(r"((?:tcp|tls)://)?(\[[0-9a-fA-F:.%]+\]|[^\s:/@\[\]]+):([0-9]{1,5})", text.strip())
+    if parts is None or not 0 < int(parts[3]) < 65536:
         raise Refused(f"--cluster {text} is no address of a scheduler; write HOST:PORT, for example 127.0.0.1:8786, "
                       f"as `dask scheduler` names it")
-    return f"{found[1] or 'tcp://'}{found[2]}:{found[3]}"
+    return f"{parts[1] or 'tcp://'}{parts[2]}:{parts[3]}"
 
 
 @contextmanager
@@ -136,7 +136,7 @@ class Cluster(Executor):
 
     def __init__(self, executor: Any, tell: Callable[[str], None] = lambda _: None) -> None:
         self._dask, self._client = executor, executor._client
-        self._tell, self._told = tell, False
+        self._tell, self._warned = tell, False
         self._desk = ThreadPoolExecutor(1)  # opens what comes back: dask's own thread has others to serve
         self._count, self._due, self._seen = 1, 0.0, monotonic()
         self.address: str = self._client.scheduler.address
@@ -148,17 +148,17 @@ class Cluster(Executor):
         if now < self._due:
             return self._count
         try:
-            found = self._client.sync(self._client.scheduler.ncores, workers=None, callback_timeout=SILENT)
+            threads_of = self._client.sync(self._client.scheduler.ncores, workers=None, callback_timeout=SILENT)
         except Exception as error:
             raise Refused(self._lost()) from error
-        self._due, self._count = now + 1.0, max(1, sum(found.values()))
-        if found:
-            self._seen, self._told = now, False
+        self._due, self._count = now + 1.0, max(1, sum(threads_of.values()))
+        if threads_of:
+            self._seen, self._warned = now, False
         elif now - self._seen >= WORKERLESS:
             raise Refused(f"the scheduler at {self.address} has no worker; start one (dask worker {self.address}): "
                           f"{GOES_ON}")
-        elif now - self._seen >= HINT and not self._told:
-            self._told = True
+        elif now - self._seen >= HINT and not self._warned:
+            self._warned = True
             self._tell(f"the scheduler at {self.address} has no worker; waiting {WORKERLESS:.0f} s for one: "
                        f"dask worker {self.address}")
         return self._count
@@ -184,9 +184,9 @@ class Cluster(Executor):
         under_way = ref(sent)  # no cycle: a worker holds what it made for as long as somebody here holds the future
 
         def cancel(done: Future[ChunkResult]) -> None:
-            there = under_way()
-            if done.cancelled() and there is not None:
-                there.cancel()
+            dask_future = under_way()
+            if done.cancelled() and dask_future is not None:
+                dask_future.cancel()
 
         def back(done: Future[Any]) -> None:
             if not future.cancelled():
@@ -243,11 +243,11 @@ class Cluster(Executor):
 class _Call:
     """Pickled it is a call of `answer` that is made when it is opened: no other part of it needs this package."""
 
-    def __init__(self, *given: Any) -> None:
-        self.given = given
+    def __init__(self, *arguments: Any) -> None:
+        self.arguments = arguments
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return answer, self.given
+        return answer, self.arguments
 
 
 def _packed(fn: Work, job: Job) -> bytes:
@@ -268,22 +268,22 @@ def files_of(job: Job) -> list[tuple[str, str]]:
 
     Raises `Refused` if one of them is gone.
     """
-    own = {file_named(value) for knobs in (job.fixed, *[knobs for _, knobs, _ in job.rows]) for value in knobs.values()
-           if isinstance(value, str)}
-    found = []
-    for path in sorted({*own, job.scene if job.scene.endswith(".py") else ""} - {""}):
+    every = (job.fixed, *[knobs for _, knobs, _ in job.rows])
+    paths = {file_named(value) for knobs in every for value in knobs.values() if isinstance(value, str)}
+    files = []
+    for path in sorted({*paths, job.scene if job.scene.endswith(".py") else ""} - {""}):
         if (digest := digest_of(path)) is None:
             raise Refused(f"there is no file {path} any more; put it back: {GOES_ON}")
-        found.append((path, digest))
-    return found
+        files.append((path, digest))
+    return files
 
 
 def _checked(done: ChunkResult, fn: Work, job: Job, worker: str) -> ChunkResult:
     """The rows, those that were refused as they are refused here: a worker may only lack a file or a plug-in."""
-    asked = {row[0]: row for row in job.rows}
+    job_rows = {row[0]: row for row in job.rows}
     for i, row in enumerate(done.rows):
         if row["status"] == "refused":
-            mine = next(iter(fn(job._replace(rows=[asked[row["row"]]], engine="plain")).rows), None)
+            mine = next(iter(fn(job._replace(rows=[job_rows[row["row"]]], engine="plain")).rows), None)
             if mine is None or mine["status"] != "refused":
                 raise Refused(f"the worker {worker} refuses row {row['row']}, which can be run here: "
                               f"{row.get('sentence')} (give a file by its whole path, on a disk that all share)")
@@ -309,8 +309,8 @@ def _greet(at: str) -> None:
         from distributed.core import rpc
         from distributed.security import Security
 
-        async with rpc(at, timeout=ANSWER, connection_args=Security().get_connection_args("client")) as there:
-            return await there.identity(), await there.versions()
+        async with rpc(at, timeout=ANSWER, connection_args=Security().get_connection_args("client")) as remote:
+            return await remote.identity(), await remote.versions()
 
     try:
         who, what = asyncio.run(asyncio.wait_for(ask(), 2.0 * ANSWER))

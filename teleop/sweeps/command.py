@@ -1,4 +1,4 @@
-"""What `teleop sweep` does: run a grid of rows, show how far that has come, and leave a folder that can go on."""
+"""The command `teleop sweep`: run a grid of rows, show its progress, and leave a folder that can go on."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 MANY = 1_000_000_000  # rows: more are a slip of the keyboard unless somebody says --yes
 
 
-class Swept(NamedTuple):
+class SweepOutcome(NamedTuple):
     """A sweep as far as it came."""
 
     plan: Sweep
@@ -52,7 +52,7 @@ class Swept(NamedTuple):
     cluster: tuple[str, int] | None = None  # its scheduler, and how many workers sent rows; none: this machine
 
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
-        """The sweep as JSON can hold it, without its rows: what goes into summary.json."""
+        """The sweep as JSON can hold it, without its rows: the content of summary.json."""
         plan = self.plan
         compilers = () if all(engine == "plain" for engine, _ in plan.ran) else ("numba", "llvmlite")
         seeds, knobs = plan.grid.seeds, plan.grid.knobs
@@ -71,9 +71,9 @@ class Swept(NamedTuple):
 
     def write(self, command: Sequence[str]) -> dict[str, Any]:
         """Write summary.json, which says how far the sweep has come and how, into its folder; what it holds now."""
-        told = joined(self.summary(command), summary_of(self.folder))
-        write(told, self.folder)
-        return told
+        document = joined(self.summary(command), summary_of(self.folder))
+        write(document, self.folder)
+        return document
 
     def text(self) -> str:
         """The sweep in a few lines."""
@@ -83,8 +83,8 @@ class Swept(NamedTuple):
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
         rows = [("sweep", f"{self.plan.scene}, {grouped(count)} {plural(count, 'row')} of {turned}"),
                 *[("law", law) for law in self._laws()], *status_rows(self.table)]
-        found = not self.ran and len(self.table) == len(self.plan.grid)
-        rows.append(("engine", "none, for no row was left to run: summary.json says which ran them" if found else
+        nothing_left = not self.ran and len(self.table) == len(self.plan.grid)
+        rows.append(("engine", "none, for no row was left to run: summary.json says which ran them" if nothing_left else
                      f"{self.plan.engine}: {self.plan.why}{threads}{rate}"))
         rows += [("", f"{number_of(ran, 'row')} by {engine}: {why}")
                  for (engine, why), ran in self.plan.ran.items() if why]
@@ -101,19 +101,19 @@ class Swept(NamedTuple):
 
 
 def command(args: Namespace) -> Answer:
-    """What `teleop sweep` does: run the rows, write summary.json and draw what is asked for. Raises `Refused`."""
+    """Carry out `teleop sweep`: run the rows, write summary.json and draw what is asked for. Raises `Refused`."""
     picture = PictureRequest(args.picture, args.metric)
     formats = asked_formats(args, wanted=any(picture))
     swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
                       latin=args.latin, random=args.random, cluster=args.cluster, workers=args.workers,
                       engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds,
                       request=picture if formats else None, stream=None if args.json else sys.stderr)
-    told = swept.write(args.typed)
-    answer = Answer(swept.text(), {**swept.summary(args.typed), "runs": told["runs"]}).kept_in(swept.folder)
+    summary = swept.write(args.typed)
+    answer = Answer(swept.text(), {**swept.summary(args.typed), "runs": summary["runs"]}).kept_in(swept.folder)
     if swept.interrupted:
         answer = answer._replace(text=f"{answer.text}\ninterrupted: the same command goes on from here")
     if formats:
-        answer = with_picture(answer, swept.table, swept.folder, told, picture, formats)
+        answer = with_picture(answer, swept.table, swept.folder, summary, picture, formats)
     return answer._replace(code=INTERRUPTED if swept.interrupted else DONE)
 
 
@@ -122,7 +122,7 @@ def carry_out(
     out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None,
     request: PictureRequest | None = None,
     latin: int | None = None, random: int | None = None, cluster: str | None = None, workers: int | None = None,
-) -> Swept:
+) -> SweepOutcome:
     """Run the sweep of scene `name` over `axes` (texts, see `teleop.sweeps.grid`). Raises `Refused`.
 
     `request`: the picture that will be drawn of it, refused here if no row could make it possible.
@@ -171,16 +171,16 @@ def carry_out(
         seconds = clock() - began
     where = None if pool is None else (pool.address, len(pool.workers))
     limits = limits_of(plan.first, plan.grid.knobs)
-    return Swept(plan, table, folder, interrupted, seconds, len(table) - before, limits, where)
+    return SweepOutcome(plan, table, folder, interrupted, seconds, len(table) - before, limits, where)
 
 
 def in_common(first: Scene, turned: Collection[str]) -> dict[str, object]:
     """The parameters that all rows of a sweep have: those of the first row without the knobs that are `turned`."""
-    found = {name: value for name, value in parameters(first).items() if name not in turned}
-    law = found.get("law")
+    shared = {name: value for name, value in parameters(first).items() if name not in turned}
+    law = shared.get("law")
     if isinstance(law, dict):
-        found["law"] = {name: value for name, value in law.items() if f"law.{name}" not in turned}
-    return found
+        shared["law"] = {name: value for name, value in law.items() if f"law.{name}" not in turned}
+    return shared
 
 
 def _check_picture(plan: Sweep, request: PictureRequest) -> None:
@@ -197,7 +197,7 @@ def _check_picture(plan: Sweep, request: PictureRequest) -> None:
 
 @contextmanager
 def _workers(cluster: str | None, tell: Callable[[str], None]) -> Iterator[Cluster | None]:
-    """Those of the cluster at an address; none: the sweep's own threads."""
+    """Workers of the cluster at an address; none: the sweep's own threads."""
     if cluster is None:
         yield None
         return

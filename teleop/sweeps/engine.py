@@ -27,11 +27,11 @@ from teleop.sweeps.kernels.figures import KEPT as KEPT_ALONG
 from teleop.sweeps.kernels.figures import layout
 from teleop.sweeps.kernels.functions import constants
 from teleop.sweeps.kernels.kernel import (
-    Inputs,
     Kernel,
     Leaves,
     LinkSchedule,
     NotCompiled,
+    RowInputs,
     figures,
     leaves,
     names_of,
@@ -59,16 +59,16 @@ _KERNELS: dict[Any, Kernel] = {}
 _MAKING = Lock()
 
 
-def choose(asked: str | None, scene: Scene, rows: int, measures: Sequence[Measure]) -> tuple[str, str]:
+def choose(engine: str | None, scene: Scene, rows: int, measures: Sequence[Measure]) -> tuple[str, str]:
     """The engine of a sweep of so many rows like `scene`, and why. Raises `Refused` for one that cannot be had."""
-    if asked is not None:
-        if asked not in ENGINES:
-            raise Refused(f"there is no engine {asked!r}; {nearest(asked, ENGINES)}")
-        if asked != "plain":
+    if engine is not None:
+        if engine not in ENGINES:
+            raise Refused(f"there is no engine {engine!r}; {nearest(engine, ENGINES)}")
+        if engine != "plain":
             from teleop.sweeps.kernels.compiled import need_numba
 
-            need_numba(asked)
-        return asked, "as asked for"
+            need_numba(engine)
+        return engine, "as asked for"
     if needs_record(measures, scene):
         return "plain", WHOLE
     seconds = PLAIN * scene.ticks * rows
@@ -97,7 +97,7 @@ def _delay_varies(scene: Scene) -> bool:
 
 @lru_cache(maxsize=256)
 def _kinds(measures: tuple[Measure, ...]) -> tuple[bool, bool]:
-    """Is one of these metrics none that a sweep works out as it goes, and one an energy compared with its stamp."""
+    """True if a metric is none that a sweep works out as it goes; true if one is an energy compared with its stamp."""
     without_record = {*KEPT_ALONG, *OF_PLAN, *STAMPED, "swing_end"}
     return any(one not in without_record for one in measures), not STAMPED.isdisjoint(measures)
 
@@ -123,7 +123,7 @@ def kernel_of(prepared: Prepared, measures: tuple[str, ...], engine: str, stamp:
     kernel = _KERNELS.get(key)
     if kernel is None:
         with _MAKING:
-            kernel = _KERNELS.get(key) or _made(scene, bodies, measures, engine, why)
+            kernel = _KERNELS.get(key) or _make_kernel(scene, bodies, measures, engine, why)
             while len(_KERNELS) >= KEPT:
                 del _KERNELS[next(iter(_KERNELS))]
             _KERNELS[key] = kernel
@@ -134,35 +134,36 @@ class Stamps:
     """The constants that kernels are compiled with as they are now; looked at once in the time of a chunk."""
 
     def __init__(self, engine: str) -> None:
-        self._plain, self._found = engine == "plain", dict[Any, object]()
+        self._plain, self._constants = engine == "plain", dict[Any, object]()
 
     def of(self, prepared: Prepared) -> object:
-        """Those of a scene's kernel."""
+        """Constants of a scene's kernel."""
         if self._plain:
             return None
         scene, bodies = prepared.scene, prepared.bodies
         key = type(scene.laws[0]), *bodies.functions().values()
-        if key not in self._found:
-            self._found[key] = tuple(constants([*names_of(scene, bodies).values()]))
-        return self._found[key]
+        if key not in self._constants:
+            self._constants[key] = tuple(constants([*names_of(scene, bodies).values()]))
+        return self._constants[key]
 
 
-def _made(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
+def _make_kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
     if engine == "plain":
         return plain_kernel(scene, bodies, measures)._replace(why=why)
     from teleop.sweeps.kernels.compiled import cause
 
     make = getattr(import_module("teleop.sweeps.kernels.engines"), f"{engine}_kernel")
     two = prepare(replace(scene, duration=min(scene.ticks, 2) * scene.dt))  # ticks, enough to have it compiled
-    given = Inputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
+    inputs = RowInputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
                    LinkSchedule.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))
     try:
         try:
             kernel: Kernel = make(scene, bodies, measures)
-            figures(kernel, [given])
+            figures(kernel, [inputs])
         except (OSError, EOFError, UnpicklingError, UnicodeDecodeError):  # the cache is full, or damaged
             kernel = make(scene, bodies, measures, keep=False)
-            figures(kernel, [given])
+            figures(kernel, [inputs])
     except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
-        return _made(scene, bodies, measures, FALLBACK[engine], cause(error))
-    return kernel._replace(why=why, fallback=lambda reason: _made(scene, bodies, measures, FALLBACK[engine], reason))
+        return _make_kernel(scene, bodies, measures, FALLBACK[engine], cause(error))
+    return kernel._replace(why=why, fallback=lambda reason: _make_kernel(
+        scene, bodies, measures, FALLBACK[engine], reason))

@@ -1,4 +1,4 @@
-"""Which rows a sweep has: knobs times seeds, each row found from its number, none of them kept.
+"""Rows of a sweep: knobs times seeds, each row worked out from its number, none of them stored.
 
 A grid is made of axes, crossed with one another and with the seeds; an axis turns one knob, or several together
 (zipped). Rows are numbered in the order of `itertools.product`, the seeds fastest and then the last axis.
@@ -43,8 +43,8 @@ class Grid:
                     raise Refused(f'a knob is called by a text, not {name!r}; write for example {{"delay": [0.1]}}')
                 if name in OWN:
                     seeds = "write seeds=30, or type --seeds 30"
-                    other = seeds if name == "seed" else "give the scene's knob another name"
-                    raise Refused(f"{name} is a column of every row and cannot be a knob of the grid too; {other}")
+                    cure = seeds if name == "seed" else "give the scene's knob another name"
+                    raise Refused(f"{name} is a column of every row and cannot be a knob of the grid too; {cure}")
             for point in points:
                 if len(point) != len(names):
                     raise Refused(f"{', '.join(names)} are turned together, so a point has {len(names)} values, not "
@@ -62,12 +62,12 @@ class Grid:
 
     @property
     def knobs(self) -> tuple[str, ...]:
-        """The knobs that are turned, in the order of the axes."""
+        """Knobs of the axes, in their order."""
         return tuple(name for names, _ in self.axes for name in names)
 
     @property
     def points(self) -> int:
-        """How many settings of the knobs there are; each is run with every seed."""
+        """Number of settings of the knobs; each is run with every seed."""
         return prod(len(points) for _, points in self.axes)
 
     def __len__(self) -> int:
@@ -82,7 +82,7 @@ class Grid:
         """The number, the knobs and the seed of several rows. Raises `Refused` as `point`."""
         count, seeds, knobs = len(self), self.seeds, self.knobs
         axes = [(len(points), points) for _, points in reversed(self.axes)]
-        found = []
+        rows_of = []
         for row in numbers:
             if not 0 <= row < count:
                 raise Refused(f"the grid has no row {row}; write a number from 0 to {count - 1}")
@@ -91,15 +91,16 @@ class Grid:
             for length, points in axes:
                 at, which = divmod(at, length)
                 values = points[which] + values
-            found.append((row, dict(zip(knobs, values, strict=True)), seeds[seed]))
-        return found
+            rows_of.append((row, dict(zip(knobs, values, strict=True)), seeds[seed]))
+        return rows_of
 
     def definition(self) -> dict[str, Any]:
         """The grid as JSON can hold it, equal for grids with equal rows; of a long axis its ends and its SHA-256."""
-        axes = [{"knobs": list(names), "values": _written([[plain(v) for v in p] if len(names) > 1 else plain(p[0])
-                                                           for p in points])} for names, points in self.axes]
+        axes = [{"knobs": list(names), "values": _summarise([
+            [json_value(v) for v in p] if len(names) > 1 else json_value(p[0]) for p in points])}
+            for names, points in self.axes]
         s = self.seeds
-        seeds = {"first": s[0], "step": s.step, "count": len(s)} if isinstance(s, range) else _written(list(s))
+        seeds = {"first": s[0], "step": s.step, "count": len(s)} if isinstance(s, range) else _summarise(list(s))
         return {"axes": axes, "seeds": seeds}
 
 
@@ -118,16 +119,16 @@ def grid(axes: Mapping[Any, Iterable[Any]], seeds: int | Iterable[int] = 1) -> G
     for key, values in axes.items():
         if isinstance(key, tuple):
             name = ", ".join(map(str, key))
-            points = tuple(tuple(listed(name, point)) for point in _each(name, values))
+            points = tuple(tuple(clean_values(name, point)) for point in _entries(name, values))
             made.append((key, points))
         else:
-            made.append(((key,), tuple((value,) for value in listed(key, values))))
+            made.append(((key,), tuple((value,) for value in clean_values(key, values))))
     return Grid(axes=tuple(made), seeds=_seeds(seeds))
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """All numbers from `low` to `high`, both included; `log` goes by equal ratios. Raises `Refused`."""
+    """Interval of numbers from `low` to `high`, both included; `log` goes by equal ratios. Raises `Refused`."""
 
     low: float
     high: float
@@ -150,7 +151,7 @@ class Range:
         Each is the float nearest to the decimal number: 0 to 0.3 in four is 0, 0.1, 0.2, 0.3 as one would type
         them. By equal ratios it is the exponents of ten that are so spaced, and whole decades are hit.
         """
-        count = counted("a range's number of values", n)
+        count = check_count("a range's number of values", n)
         if count < 2:
             raise Refused("a range with both its ends has at least 2 values; write for example 0:0.5:51, or one value "
                           "alone")
@@ -177,7 +178,7 @@ def sampled(ranges: Mapping[str, Range | Sequence[Any]], n: int, *, key: int = 0
     others. `latin`: one point in each of n equal strata of every knob (McKay, Beckman & Conover, Technometrics 21,
     1979); otherwise independent, and a greater n keeps the points that are there.
     """
-    count = counted("n", n)
+    count = check_count("n", n)
     if not _is_whole(key, 0, (1 << 64) - 1):
         raise Refused(f"key must be a whole number from 0 to 2^64-1, not {key!r}; write key=1")
     if not isinstance(ranges, Mapping) or not ranges:
@@ -188,36 +189,36 @@ def sampled(ranges: Mapping[str, Range | Sequence[Any]], n: int, *, key: int = 0
         if isinstance(over, Range):
             columns.append([over.at(u) for u in draws])
             continue
-        entries = listed(name, over)
+        entries = clean_values(name, over)
         if not entries:
             raise Refused(f"{name} has no values to draw from; write for example {name}=[1.0, 2.0]")
         columns.append([entries[min(int(u * len(entries)), len(entries) - 1)] for u in draws])
     return Grid(axes=((tuple(ranges), tuple(zip(*columns, strict=True))),), seeds=_seeds(seeds))
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """A knob's value as JSON can hold it: what is no number, text, truth or list of them by its `repr`."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, tuple | list):
-        return [plain(each) for each in value]
+        return [json_value(each) for each in value]
     return fspath(value) if isinstance(value, PathLike) else repr(value)
 
 
-def listed(name: object, values: Iterable[Any]) -> list[Any]:
+def clean_values(name: object, values: Iterable[Any]) -> list[Any]:
     """The values of a knob, those of numpy as Python's own. Raises `Refused`."""
-    return [_clean(str(name), value) for value in _each(str(name), values)]
+    return [_clean(str(name), value) for value in _entries(str(name), values)]
 
 
-def counted(name: str, n: int) -> int:
+def check_count(name: str, n: int) -> int:
     """A number of values, 1 .. `MOST_VALUES`. Raises `Refused`."""
     if not _is_whole(n, 1, MOST_VALUES):
         raise Refused(f"{name} must be a whole number from 1 to {MOST_VALUES}, not {n!r}; write for example 51")
     return int(n)
 
 
-def _each(name: str, values: Iterable[Any]) -> Iterator[Any]:
-    """The entries of what a person gave as a list."""
+def _entries(name: str, values: Iterable[Any]) -> Iterator[Any]:
+    """Entries of a list as a person wrote it."""
     if isinstance(values, str | bytes) or not isinstance(values, Iterable) or getattr(values, "shape", None) == ():
         raise Refused(f'{name} takes a list of values, not {values!r}; write "{name}": [{values!r}]')
     if isinstance(values, set | frozenset):
@@ -255,16 +256,16 @@ def _seeds(seeds: int | Iterable[int]) -> tuple[int, ...] | range:
         if seeds < 1:
             raise Refused(f"a sweep has at least one seed, not {seeds}; write seeds=1")
         return range(int(seeds))
-    kept = seeds if isinstance(seeds, range) else None
-    if kept is None and (isinstance(seeds, bool | str) or not isinstance(seeds, Iterable)):
+    even_seeds = seeds if isinstance(seeds, range) else None
+    if even_seeds is None and (isinstance(seeds, bool | str) or not isinstance(seeds, Iterable)):
         raise Refused(f"seeds are a whole number of them or a list, not {seeds!r}; write seeds=30 or seeds=[1, 2, 5]")
-    each = [*kept[:1], *kept[-1:]] if kept is not None else list(_each("seeds", seeds))  # type: ignore[arg-type]  # no int
+    each = [*even_seeds[:1], *even_seeds[-1:]] if even_seeds is not None else list(_entries("seeds", seeds))  # type: ignore[arg-type]  # no int
     for seed in each:
         if not _is_whole(seed, 0, (1 << 64) - 1):
             raise Refused(f"a seed must be a whole number from 0 to 2^64-1, not {seed!r}; write for example "
                           "seeds=[1, 2]")
-    if kept is not None:
-        return range(kept[0], kept[0] + 1) if len(kept) == 1 else kept
+    if even_seeds is not None:
+        return range(even_seeds[0], even_seeds[0] + 1) if len(even_seeds) == 1 else even_seeds
     whole = tuple(int(seed) for seed in each)
     if len(set(whole)) < len(whole):
         raise Refused("the same seed is in the list twice and would give the same rows; write each seed once")
@@ -298,7 +299,7 @@ def _draws(name: str, n: int, key: int, latin: bool) -> list[float]:
     return drawn
 
 
-def _written(values: list[Any]) -> Any:
+def _summarise(values: list[Any]) -> Any:
     """The values; of many their number, their ends and the SHA-256 of their JSON."""
     if len(values) <= WRITTEN_OUT:
         return values
@@ -310,7 +311,7 @@ def _written(values: list[Any]) -> Any:
 
 
 def _alike(value: Any) -> Any:
-    """What is equal written equally: 1.0 as 1."""
+    """Write equal values equally: 1.0 as 1."""
     if isinstance(value, list):
         return [_alike(each) for each in value]
     return int(value) if isinstance(value, bool | float) and value == int(value) else value
@@ -340,7 +341,7 @@ def parse_axes(texts: Sequence[str]) -> dict[str | tuple[str, ...], list[Any]]:
     {'link': ['delay(0.05) | gamma(0.01, 2.0)', 'delay(0.1) ; delay(0.2)']}
     """
     axes: dict[str | tuple[str, ...], list[Any]] = {}
-    for names, parts in _typed(texts):
+    for names, parts in _split_axes(texts):
         written = ",".join(names)
         if len(names) == 1:
             axes[written] = [value for part in parts for value in _values(written, part)]
@@ -363,22 +364,22 @@ def parse_ranges(texts: Sequence[str]) -> dict[str, Range | list[Any]]:
     {'k_e': Range(low=100.0, high=1000000.0, log=True), 'law': ['wave', 'pfra']}
     """
     ranges: dict[str, Range | list[Any]] = {}
-    for names, parts in _typed(texts):
-        written, (first, *more) = ",".join(names), parts[0].split(":")
+    for names, parts in _split_axes(texts):
+        written, (first, *rest) = ",".join(names), parts[0].split(":")
         if len(names) > 1:
             raise Refused(f"{written}: a sample draws each knob by itself; write each as a text of its own, "
                           f"{names[0]}=0:0.5 {names[1]}=1,2")
-        if not (more and _is_number(first)):
+        if not (rest and _is_number(first)):
             ranges[written] = [_value(written, part) for part in parts]
-        elif len(parts) == 1 and _is_number(more[0]) and more[1:] in ([], ["log"]):
-            ranges[written] = _range(written, parts[0], first, more[0], log=len(more) == 2)
+        elif len(parts) == 1 and _is_number(rest[0]) and rest[1:] in ([], ["log"]):
+            ranges[written] = _range(written, parts[0], first, rest[0], log=len(rest) == 2)
         else:
             raise Refused(f"{written}={','.join(parts)} is not LOW:HIGH or LOW:HIGH:log; write for example "
                           f"{written}=0:0.5, or {written}=1e2:1e6:log by equal ratios")
     return ranges
 
 
-def _typed(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[str]]]:
+def _split_axes(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[str]]]:
     """The names of each axis and its values, still as texts."""
     seen: set[str] = set()
     for text in [texts] if isinstance(texts, str) else texts:
@@ -418,9 +419,9 @@ def _parted(text: str, gap: str | re.Pattern[str]) -> list[str]:
             quote = sign
         elif sign in "([{)]}":
             depth += 1 if sign in "([{" else -1
-        elif not depth and (found := gap.match(text, at)):
+        elif not depth and (match := gap.match(text, at)):
             parts.append(text[start:at])
-            start = at = found.end()
+            start = at = match.end()
             continue
         at += 1
     if quote or depth:
@@ -429,19 +430,19 @@ def _parted(text: str, gap: str | re.Pattern[str]) -> list[str]:
 
 
 def _values(name: str, text: str) -> list[Any]:
-    """One value, or those of a range."""
+    """Read a value, or the values of a range."""
     text = text.strip()
-    first, *more = text.split(":")
-    if not more or not _is_number(first):
+    first, *rest = text.split(":")
+    if not rest or not _is_number(first):
         return [_value(name, text)]
-    if len(more) not in (2, 3) or not _is_number(more[0]) or more[2:] not in ([], ["log"]):
+    if len(rest) not in (2, 3) or not _is_number(rest[0]) or rest[2:] not in ([], ["log"]):
         raise Refused(f"{name}={text} is not LOW:HIGH:N or LOW:HIGH:N:log; write for example {name}=0:0.5:51, "
                       f"or {name}=1e2:1e6:9:log by equal ratios")
-    count = more[1].strip()
+    count = rest[1].strip()
     if not (count.isascii() and count.isdecimal() and len(count) < 10 and 2 <= int(count) <= MOST_VALUES):
         raise Refused(f"{name}={text} must have a whole number of values from 2 to {MOST_VALUES}, both ends included, "
-                      f"not {count!r}; write for example {name}={first}:{more[0]}:51")
-    return _range(name, text, first, more[0], log=len(more) == 3).values(int(count))
+                      f"not {count!r}; write for example {name}={first}:{rest[0]}:51")
+    return _range(name, text, first, rest[0], log=len(rest) == 3).values(int(count))
 
 
 def _range(name: str, text: str, low: str, high: str, *, log: bool) -> Range:

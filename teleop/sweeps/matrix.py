@@ -123,16 +123,16 @@ def _block(held: Mapping[str, Any], where: str) -> MatrixBlock:
     fixed = knobs_in(held.get("set", {}), where)
     if "losses" in held and "delays" not in held:
         raise Refused(f"{where} has losses and no delays, and its link has both; write delays = [0.0]")
-    lists = {key: _listed(key, held[key], where) for key in LISTS if key in held}
+    lists = {key: _check_list(key, held[key], where) for key in LISTS if key in held}
     block = MatrixBlock(
         name=name, scene=held["scene"], laws=lists["laws"], delays=lists.get("delays", (None,)),
         losses=lists.get("losses", (None,)), seeds=lists.get("seeds"), fixed=fixed,
         expect=_expect(held["expect"], where), why=text_of(held["why"], "why", where),
     )
-    given = held.get("except", [])
-    if not is_tables(given):
+    exceptions_held = held.get("except", [])
+    if not is_tables(exceptions_held):
         raise Refused(f"{where}: exceptions are tables, each begun with [[block.except]]")
-    exceptions = [_exempt(each, block, f"exception {i} of {where}") for i, each in enumerate(given, 1)]
+    exceptions = [_exempt(each, block, f"exception {i} of {where}") for i, each in enumerate(exceptions_held, 1)]
     return replace(block, exceptions=tuple(exceptions))
 
 
@@ -146,39 +146,40 @@ def _exempt(held: Mapping[str, Any], block: MatrixBlock, where: str) -> Exempt:
     return Exempt(**picked, expect=_expect(held["expect"], where), why=text_of(held["why"], "why", where))
 
 
-def _picked(key: str, value: object, own: tuple[Any, ...] | None, where: str) -> tuple[Any, ...]:
+def _picked(key: str, value: object, values: tuple[Any, ...] | None, where: str) -> tuple[Any, ...]:
     """The block's own values that an exception names, one by one or from .. to."""
-    own = () if own in (None, (None,)) else own
+    values = () if values in (None, (None,)) else values
     if isinstance(value, dict) and key != "laws":
         check_keys(value, ("from", "to"), f"{key} of {where}")
         low, high = (number(f"{where}: {end} of {key}", value[end]) if end in value else past
                      for end, past in (("from", -inf), ("to", inf)))
-        found = tuple(each for each in own if low <= each <= high)
+        picked = tuple(each for each in values if low <= each <= high)
     else:
-        found = _listed(key, value, where)
-    lost = next((each for each in found if each not in own), None)
-    if lost is not None or not found:
+        picked = _check_list(key, value, where)
+    lost = next((each for each in picked if each not in values), None)
+    if lost is not None or not picked:
         what = "none of" if lost is None else f"{lost!r}, which is not among"
-        raise Refused(f"{where} picks {what} the block's {key}; there are: {', '.join(map(str, own)) or 'none'}")
-    return found
+        raise Refused(f"{where} picks {what} the block's {key}; there are: {', '.join(map(str, values)) or 'none'}")
+    return picked
 
 
-def _listed(key: str, value: object, where: str) -> tuple[Any, ...]:
+def _check_list(key: str, value: object, where: str) -> tuple[Any, ...]:
     """The values of a list, checked; one alone is a list of one."""
-    given = value if isinstance(value, list) else [value]
-    if not given:
+    entries = value if isinstance(value, list) else [value]
+    if not entries:
         raise Refused(f"{where}: {key} is empty; leave it out, or write at least one value")
-    found: tuple[Any, ...]
+    checked: tuple[Any, ...]
     if key == "laws":
-        found = tuple(text_of(each, key, where) for each in given)
+        checked = tuple(text_of(each, key, where) for each in entries)
     elif key == "seeds":
-        found = tuple(whole_number(f"{where}: {key}", each, low=0) for each in given)
+        checked = tuple(whole_number(f"{where}: {key}", each, low=0) for each in entries)
     else:
-        found = tuple(number(f"{where}: {key}", each, low=0.0, high=None if key == "delays" else 1.0) for each in given)
-    twice = repeated(found)
+        high = None if key == "delays" else 1.0
+        checked = tuple(number(f"{where}: {key}", each, low=0.0, high=high) for each in entries)
+    twice = repeated(checked)
     if twice is not None:
         raise Refused(f"{where}: {key} names {twice} twice; write each value once")
-    return found
+    return checked
 
 
 def _expect(value: object, where: str) -> str:
@@ -207,7 +208,7 @@ Show = Callable[[int, int], None]
 
 
 class RowOutcome(NamedTuple):
-    """A row and what came."""
+    """A row and its outcome."""
 
     row: Row
     status: str
@@ -217,15 +218,15 @@ class RowOutcome(NamedTuple):
 
     @property
     def as_expected(self) -> bool:
-        """Did the run end with the status that was expected."""
+        """True if the run ended with the expected status."""
         return self.status == self.row.expect
 
     def line(self) -> str:
-        """What was expected, what came, and why, in one line."""
+        """Expected status, status, and the reason, in one line."""
         ended = "was not finite or passed" if self.status == "diverged" else "stayed within"
-        told = "".join(f", {name} {value:.3g}" for name, value in self.figures.items())
+        figures = "".join(f", {name} {value:.3g}" for name, value in self.figures.items())
         return (f"{self.row.id}: expected {self.row.expect} ({self.row.why}), came {self.status}: {ended} "
-                f"{self.x_limit} in {number_of(self.ticks, 'tick')}{told}")
+                f"{self.x_limit} in {number_of(self.ticks, 'tick')}{figures}")
 
 
 def run_block(block: MatrixBlock, *, executor: Executor | None = None, out: Path | None = None, show: Show | None = None
@@ -235,31 +236,31 @@ def run_block(block: MatrixBlock, *, executor: Executor | None = None, out: Path
     ran = sweep(block.scene, block.axes(), seeds=block.seeds or 1, metrics=METRICS, fixed=block.fixed,
                 engine="plain", executor=executor, out=out, show=show)
     limit = f"x_limit = {block.fixed['x_limit']} m" if "x_limit" in block.fixed else "its x_limit"
-    return [RowOutcome(rows[came["row"]], came["status"], came["ticks"],
-                    {name: came[name] for name in METRICS if name in came}, limit) for came in ran]
+    return [RowOutcome(rows[result["row"]], result["status"], result["ticks"],
+                    {name: result[name] for name in METRICS if name in result}, limit) for result in ran]
 
 
 def run_matrix(blocks: tuple[MatrixBlock, ...], *, executor: Executor | None = None, out: Path | None = None,
                show: Show | None = None) -> dict[str, list[RowOutcome]]:
-    """Run every block; what came, by the block's name. `out`: a folder that takes the folder of each block's sweep."""
+    """Run every block; outcomes by the block's name. `out`: a folder that takes the folder of each block's sweep."""
     total, done = sum(len(block.rows()) for block in blocks), 0
-    came: dict[str, list[RowOutcome]] = {}
+    outcomes: dict[str, list[RowOutcome]] = {}
     for block in blocks:
-        def told(here: int, _: int, before: int = done) -> None:
+        def show_rows(here: int, _: int, before: int = done) -> None:
             if show is not None:
                 show(before + here, total)
 
-        came[block.name] = run_block(block, executor=executor, out=out and out / block.name, show=told)
-        done += len(came[block.name])
-    return came
+        outcomes[block.name] = run_block(block, executor=executor, out=out and out / block.name, show=show_rows)
+        done += len(outcomes[block.name])
+    return outcomes
 
 
-def table(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]]) -> str:
-    """What came, a line a block, and a line for each row that is not as expected."""
+def table(blocks: tuple[MatrixBlock, ...], outcomes_of: Mapping[str, list[RowOutcome]]) -> str:
+    """Table of the outcomes: a line a block, and a line for each row that is not as expected."""
     lines = [("block", "scene", "rows", "as expected")]
     for block in blocks:
-        lines.append((block.name, block.scene, str(len(came[block.name])), str(_good(came[block.name]))))
-    every = [outcome for outcomes in came.values() for outcome in outcomes]
+        lines.append((block.name, block.scene, str(len(outcomes_of[block.name])), str(_good(outcomes_of[block.name]))))
+    every = [outcome for outcomes in outcomes_of.values() for outcome in outcomes]
     lines.append(("in all", "", str(len(every)), str(_good(every))))
     wrong = [outcome.line() for outcome in every if not outcome.as_expected]
     last = _verdict(len(every), len(wrong)) + ":" * bool(wrong)
@@ -271,34 +272,34 @@ def _verdict(rows: int, wrong: int) -> str:
     return f"{wrong} of {every} not as expected" if wrong else f"all {every} as expected"
 
 
-def summary(blocks: tuple[MatrixBlock, ...], came: Mapping[str, list[RowOutcome]]) -> dict[str, Any]:
+def summary(blocks: tuple[MatrixBlock, ...], outcomes_of: Mapping[str, list[RowOutcome]]) -> dict[str, Any]:
     """The same as JSON can hold it, with every row."""
-    every = [outcome for outcomes in came.values() for outcome in outcomes]
+    every = [outcome for outcomes in outcomes_of.values() for outcome in outcomes]
     return {
         "rows": len(every), "as_expected": _good(every),
-        "blocks": [{"name": block.name, "scene": block.scene, "rows": len(came[block.name]),
-                    "as_expected": _good(came[block.name])} for block in blocks],
+        "blocks": [{"name": block.name, "scene": block.scene, "rows": len(outcomes_of[block.name]),
+                    "as_expected": _good(outcomes_of[block.name])} for block in blocks],
         "unexpected": [outcome.line() for outcome in every if not outcome.as_expected],
         "outcomes": [{**one.row._asdict(), "status": one.status, "ticks": one.ticks, **one.figures} for one in every],
     }
 
 
 def command(args: Namespace) -> Answer:
-    """What `teleop matrix` does: run the matrix and say what did not end as expected. Raises `Refused`."""
+    """Carry out `teleop matrix`: run the matrix and name the rows that did not end as expected. Raises `Refused`."""
     path = args.file or BUILT_IN
     blocks = read_matrix(path)
     rows = sum(len(block.rows()) for block in blocks)
     began = args.seconds()
     with shown_on(None if args.json else sys.stderr, args.seconds, float(rows)) as show:
-        came = run_matrix(blocks, out=None if args.out is None else Path(args.out),
+        outcomes = run_matrix(blocks, out=None if args.out is None else Path(args.out),
                           show=lambda done, of: show(float(done), f"{done} of {number_of(of, 'row')}"))
-    told = summary(blocks, came)
+    content = summary(blocks, outcomes)
     document = {
-        "status": "done", "sentence": _verdict(told["rows"], len(told["unexpected"])), "matrix": str(path),
+        "status": "done", "sentence": _verdict(content["rows"], len(content["unexpected"])), "matrix": str(path),
         "mode": "matrix", "versions": versions(), "command": list(args.typed),
-        "seconds": args.seconds() - began, "path": None, **told,
+        "seconds": args.seconds() - began, "path": None, **content,
     }
-    answer = Answer(table(blocks, came), document)
+    answer = Answer(table(blocks, outcomes), document)
     return answer if args.out is None else answer.kept_in(args.out)
 
 

@@ -59,7 +59,7 @@ class Ready(NamedTuple):
     frame: Frame
 
 
-class Group:
+class RowGroup:
     """Rows that one kernel may run side by side: of one structure, one number of ticks and the same whole numbers.
 
     Nothing moves them from the same tick on, if from any.
@@ -89,10 +89,10 @@ class RowMaker:
         self._knobs: dict[str, object] | None = None  # those of the row before, and what came of them
         self._before: tuple[Scene, Made | None]
         self._schedules: dict[Any, Schedules] = {}
-        self._groups: dict[Any, Group] = {}
+        self._groups: dict[Any, RowGroup] = {}
 
     @property
-    def groups(self) -> list[Group]:
+    def groups(self) -> list[RowGroup]:
         """The rows so far."""
         return [*self._groups.values()]
 
@@ -107,7 +107,7 @@ class RowMaker:
             if type(scene.laws[0]) not in self._as_begun:  # an edited file has another class
                 self._check(type(scene.laws[0]))
                 self._as_begun.add(type(scene.laws[0]))
-            self._before = scene, None if needs_record(self._measures, scene) else self._made(scene)
+            self._before = scene, None if needs_record(self._measures, scene) else self._make(scene)
             self._knobs = knobs
         scene, made = self._before
         if made is None:
@@ -121,12 +121,12 @@ class RowMaker:
         return None
 
     def _check(self, thing: type | Callable[..., Any]) -> None:
-        own = own_file(thing)
-        if own is not None and self._files.get(own.path, own.digest) != own.digest:
-            raise Edited(f"{own.path} was edited while the sweep ran; the rows until then are of the file as it was, "
+        file = own_file(thing)
+        if file is not None and self._files.get(file.path, file.digest) != file.digest:
+            raise Edited(f"{file.path} was edited while the sweep ran; the rows until then are of the file as it was, "
                          "so run the sweep again, one with --out into another folder")
 
-    def _made(self, scene: Scene) -> Made:
+    def _make(self, scene: Scene) -> Made:
         kind = type(scene.laws[0])
         known = self._known.get(kind)
         changed = None if known is None else known.changed(scene)
@@ -138,8 +138,8 @@ class RowMaker:
     def _worked_out(self, scene: Scene) -> KnownScene:
         """A scene worked out in full."""
         prepared = prepare(scene)
-        bodies, there = prepared.bodies, available(scene)
-        wanted = tuple([one for one in self._measures if isinstance(one, str) and one in there])
+        bodies, offered = prepared.bodies, available(scene)
+        wanted = tuple([one for one in self._measures if isinstance(one, str) and one in offered])
         rest, frame = still(scene, path_of(scene, compiled=self._engine != "plain")), frame_of(scene)
         if rest:
             wanted = (*wanted, *[str(one) for one in self._measures if one in AT_REST and (
@@ -150,11 +150,11 @@ class RowMaker:
         group = self._group(kernel, scene.ticks, flat, rest, frame)
         return KnownScene(prepared, Made(group, tree, flat, path, {}, rest, frame))
 
-    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None, frame: Frame) -> Group:
+    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None, frame: Frame) -> RowGroup:
         key = id(kernel), ticks, tuple(flat.wholes) if flat else (), rest and (rest.since, rest.window), frame.last
         group = self._groups.get(key)
         if group is None:
-            group = self._groups[key] = Group(kernel, ticks)
+            group = self._groups[key] = RowGroup(kernel, ticks)
         return group
 
     def _varied(self, known: KnownScene, scene: Scene, changed: frozenset[str]) -> Made | None:
@@ -174,11 +174,11 @@ class RowMaker:
             bodies = bodies._replace(slaves=slaves)
         if changed <= {"link"}:
             return made
-        own = prepare(scene, bodies if "hand" not in changed else None)
+        prepared = prepare(scene, bodies if "hand" not in changed else None)
         if "law" in changed and not known.has_law_like(scene):
             return None
-        if "hand" in changed and (own.bodies.instead != bodies.instead or
-                                  not known.has_functions_of(scene, own.bodies.slaves)):
+        if "hand" in changed and (prepared.bodies.instead != bodies.instead or
+                                  not known.has_functions_of(scene, prepared.bodies.slaves)):
             return None
         path = path_of(scene, compiled=made.flat is not None) if "hand" in changed else made.path
         rest = still(scene, path) if "hand" in changed else made.still
@@ -188,9 +188,10 @@ class RowMaker:
             if self._engine != "plain" and "law" in changed:  # it may be this law's numbers that are not compiled
                 return None
             group = self._group(made.group.kernel, made.group.ticks, None, rest, made.frame)
-            return made._replace(group=group, tree=tree_of(scene, own.bodies, compiled=False), path=path, still=rest)
+            tree = tree_of(scene, prepared.bodies, compiled=False)
+            return made._replace(group=group, tree=tree, path=path, still=rest)
         try:
-            flat = leaves(tree_of(scene, own.bodies))
+            flat = leaves(tree_of(scene, prepared.bodies))
         except NotCompiled:
             return None
         if flat.shape != made.flat.shape:
@@ -206,9 +207,9 @@ def _with_link_of(scene: Scene, made: Made) -> Made:
 
 
 class Made(NamedTuple):
-    """What a row has of its scene, whatever its seed."""
+    """Parts of a row that follow from its scene, whatever its seed."""
 
-    group: Group
+    group: RowGroup
     tree: Any
     flat: Leaves | None
     path: Any
@@ -303,7 +304,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 def _paths(path: str, part: Any) -> list[str]:
-    """Where the values stand that a part consists of, and the classes: a part with the same ones is the same."""
+    """Paths of the values and classes that a part consists of: a part with the same ones is the same."""
     if type(part) in ATOMS or type(part) is tuple:
         return [path]
     return [f"{path}.__class__", *[each for field in fields(part)

@@ -22,7 +22,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import ChunkResult, Job, work
 from teleop.sweeps.engine import Measure, choose
-from teleop.sweeps.grid import Grid, counted, grid, listed, plain
+from teleop.sweeps.grid import Grid, check_count, clean_values, grid, json_value
 from teleop.sweeps.kernels.functions import digest, file_digest, sources
 from teleop.sweeps.kernels.kernel import available
 from teleop.sweeps.store import METRIC_SOURCES, Store
@@ -56,14 +56,15 @@ class Sweep:
     workers: int = 0  # threads that rows are run by at a time; 0 before any was run
 
     def definition(self) -> dict[str, Any]:
-        """What the folder of this sweep is held to."""
+        """Definition that the folder of this sweep must match."""
         from teleop.version import __version__
 
-        own = {one.__name__: digest(sources([one])) for one in self.measures if not isinstance(one, str)}
+        metric_digests = {one.__name__: digest(sources([one])) for one in self.measures if not isinstance(one, str)}
         return {
-            "scene": self.scene, "fixed": {key: plain(listed(key, [value])[0]) for key, value in self.fixed.items()},
+            "scene": self.scene,
+            "fixed": {key: json_value(clean_values(key, [value])[0]) for key, value in self.fixed.items()},
             "grid": self.grid.definition(), "metrics": _names(self.measures), "sources": self.sources,
-            "version": __version__, **({METRIC_SOURCES: own} if own else {}),
+            "version": __version__, **({METRIC_SOURCES: metric_digests} if metric_digests else {}),
         }
 
 
@@ -139,12 +140,12 @@ def _replayed(points: Grid) -> list[str]:
 
 def _of_each_law(name: str, points: Grid, fixed: Mapping[str, object]) -> list[Scene]:
     """The first row's scene with every other law of the grid; what is refused, its rows will say."""
-    found = []
+    scenes = []
     laws = [value for knob, value in _axis_values(points) if knob == "law"]
     for law in laws[1:MOST_LAWS]:
         with suppress(Refused):
-            found.append(load_scene(name, **{**fixed, **points.point(0)[0], "law": law}))
-    return found
+            scenes.append(load_scene(name, **{**fixed, **points.point(0)[0], "law": law}))
+    return scenes
 
 
 def _checked(metrics: object) -> tuple[Measure, ...]:
@@ -172,9 +173,9 @@ def _own_sources(name: str, laws: Iterable[Any], links: Iterable[str]) -> str:
     """A digest of the scene file, laws and replayed links that are the user's own; the others go by the version."""
     scene = Path(name).absolute() if name.endswith(".py") else None
     texts = [] if scene is None else [file_digest(scene)]
-    own = [law for law in laws if not is_built_in(law)]
-    texts += [file.digest for file in map(own_file, map(type, own)) if file is not None and file.path != scene]
-    functions = [getattr(type(law), end) for law in own for end in ENDS if hasattr(type(law), end)]
+    own_laws = [law for law in laws if not is_built_in(law)]
+    texts += [file.digest for file in map(own_file, map(type, own_laws)) if file is not None and file.path != scene]
+    functions = [getattr(type(law), end) for law in own_laws for end in ENDS if hasattr(type(law), end)]
     for part in functions:
         texts += sources([part])
     texts += links
@@ -187,7 +188,7 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | N
     """Run what is not done yet of a sweep, see `sweep`. `chunk`: rows of a job, for one whose rows are known to be
     short; left out, as many as take about `CHUNK` seconds. Raises `Refused`.
     """
-    most = cores() if workers is None else counted("workers", workers)
+    most = cores() if workers is None else check_count("workers", workers)
     total, definition = len(plan.grid), plan.definition()
     _check_mended(mended, definition.get(METRIC_SOURCES, ()))
     store = None if out is None else Store.open(Path(out), definition, mended)
@@ -214,11 +215,11 @@ def carry_out(plan: Sweep, *, executor: Executor | None = None, workers: int | N
             store.close()
 
 
-def _check_mended(mended: Sequence[str], own: Iterable[str]) -> None:
+def _check_mended(mended: Sequence[str], names: Iterable[str]) -> None:
     if isinstance(mended, str):
         raise Refused(f"mended is a list of names, not {mended!r}; write mended=[{mended!r}]")
     for name in mended:
-        if name not in own:
+        if name not in names:
             raise Refused(f"mended names {name!r}, which is no function among the metrics; leave it out")
 
 
@@ -229,9 +230,9 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
     Towards the end, with `left` rows to be handed out, they get shorter, so that all workers end together. `most`: of
     these at a time, where the executor does not say how many it has.
     """
-    pool, own, workers_of = _pool(executor, most)
+    pool, is_own, workers_of = _pool(executor, most)
     stop = Event()
-    told = (stop.is_set,) if executor is None else ()  # others may be in other processes
+    stop_check = (stop.is_set,) if executor is None else ()  # others may be in other processes
     each, size = 0.0, chunk or 1  # s a row, rows of the last chunk
     running: dict[Future[ChunkResult], None] = {}  # in the order in which they were handed out
     complete = False
@@ -246,7 +247,7 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
                     break
                 left -= len(job.rows)
                 plan.workers = max(plan.workers, workers)
-                running[pool.submit(work, job, *told)] = None
+                running[pool.submit(work, job, *stop_check)] = None
             if not running:
                 complete = True
                 return
@@ -261,7 +262,7 @@ def _chunks(plan: Sweep, waiting: Iterator[int], left: int, executor: Executor |
         stop.set()
         for future in running:
             future.cancel()
-        if own:  # a job that compiles cannot be stopped: it ends by itself, and what it has compiled is kept
+        if is_own:  # a job that compiles cannot be stopped: it ends by itself, and what it has compiled is kept
             pool.shutdown(wait=complete, cancel_futures=True)
 
 

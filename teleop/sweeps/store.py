@@ -36,7 +36,7 @@ from teleop.storage.strict_json import (
     whole,
 )
 from teleop.storage.strict_json import LONGEST as LONGEST_NUMBER
-from teleop.sweeps.grid import plain
+from teleop.sweeps.grid import json_value
 
 if TYPE_CHECKING:
     from teleop.sweeps.table import Table
@@ -80,7 +80,7 @@ def _jsonable(value: object) -> object:
         return _jsonable(value.tolist())
     if isinstance(value, float):
         return value if isfinite(value) else str(value)
-    return plain(value)
+    return json_value(value)
 
 
 def begun(folder: Path, definition: Mapping[str, Any]) -> IO[bytes] | None:
@@ -152,7 +152,7 @@ def read_definition(folder: Path) -> dict[str, Any]:
 
 
 def rows_of(definition: Mapping[str, Any]) -> int:
-    """How many rows the sweep of a definition has; as many as can be numbered if it does not say."""
+    """Number of rows of the sweep of a definition; as many as can be numbered if it does not say."""
     grid = definition.get("grid", {})
     if not {"axes", "seeds"} <= grid.keys():
         return maxsize
@@ -160,21 +160,21 @@ def rows_of(definition: Mapping[str, Any]) -> int:
     return min(prod(each["count"] if isinstance(each, dict) else len(each) for each in lists), maxsize)
 
 
-def with_edits(there: Mapping[str, Any], wanted: Mapping[str, Any], mended: Sequence[str], has_rows: bool
+def with_edits(definition_there: Mapping[str, Any], wanted: Mapping[str, Any], mended: Sequence[str], has_rows: bool
                ) -> dict[str, Any]:
     """The definition `there` with the digests that a wanted one may change: of `mended` metrics, or of all."""
-    made, own = dict(there), METRIC_SOURCES
-    if not has_rows and "sources" in there:
+    made, metric_key = dict(definition_there), METRIC_SOURCES
+    if not has_rows and "sources" in definition_there:
         made["sources"] = wanted.get("sources")
-    if isinstance(there.get(own), dict) and isinstance(wanted.get(own), dict):
-        made[own] = {name: wanted[own].get(name, digest) if name in mended or not has_rows else digest
-                     for name, digest in there[own].items()}
+    if isinstance(definition_there.get(metric_key), dict) and isinstance(wanted.get(metric_key), dict):
+        made[metric_key] = {name: wanted[metric_key].get(name, digest) if name in mended or not has_rows else digest
+                     for name, digest in definition_there[metric_key].items()}
     return made
 
 
-def check_same(folder: Path, there: object, wanted: object) -> None:
+def check_same(folder: Path, definition_there: object, wanted: object) -> None:
     """Raise `Refused`, naming the first difference, if the definition in `folder` is not the wanted one."""
-    for name, old, new in _differences("", there, wanted):
+    for name, old, new in _differences("", definition_there, wanted):
         was, now = ("absent" if value is _ABSENT else _short(value) for value in (old, new))
         free = next(numbered(folder.parent, folder.name))
         digest, _, metric = name.partition(".")
@@ -188,10 +188,10 @@ def check_same(folder: Path, there: object, wanted: object) -> None:
 
 def _as_typed(name: str, wanted: Any) -> str:
     """A place in a definition as somebody calls it who has typed the sweep."""
-    found = re.fullmatch(r"grid\.axes\[(\d+)\]\.values[.\w]*(?:\[(\d+)\].*)?", name)
-    if found is not None:
-        knobs = ",".join(wanted["grid"]["axes"][int(found[1])]["knobs"])
-        return f"value {int(found[2]) + 1} of {knobs}" if found[2] else f"the list of values of {knobs}"
+    match = re.fullmatch(r"grid\.axes\[(\d+)\]\.values[.\w]*(?:\[(\d+)\].*)?", name)
+    if match is not None:
+        knobs = ",".join(wanted["grid"]["axes"][int(match[1])]["knobs"])
+        return f"value {int(match[2]) + 1} of {knobs}" if match[2] else f"the list of values of {knobs}"
     return "the number of seeds" if name == "grid.seeds.count" else name.removeprefix("fixed.") or DEFINITION
 
 
@@ -213,7 +213,7 @@ def _short(value: object) -> str:
 
 
 def no_link(path: str, flags: int) -> int:
-    """What opens a file of the folder to be written: never another one that it may link to."""
+    """Open a file of the folder to be written: never another one that it may link to."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
@@ -284,7 +284,7 @@ class RowNumbers:
             yield range(begin, stop)
 
     def _changes(self, number: int, stop: int) -> Iterator[tuple[bool, int]]:
-        """Is the row missing, and its number: the rows below `stop` of a page, of equal bytes in a row the first."""
+        """Yield whether a row is missing, and its number: rows of a page below `stop`, of equal bytes the first."""
         base = number << 12
         for run in re.finditer(rb"\x00+|\xff+|[^\x00\xff]", self._pages[number]):
             begin, byte = base + 8 * run.start(), self._pages[number][run.start()]
@@ -333,14 +333,14 @@ class Store:
         at, wanted = Path(folder), json.loads(text(definition))
         try:
             lock = begun(at, definition)
-            there = read_definition(at)
-            check_same(at, with_edits(there, wanted, mended, _has_bytes(at / ROWS)), wanted)
+            definition_there = read_definition(at)
+            check_same(at, with_edits(definition_there, wanted, mended, _has_bytes(at / ROWS)), wanted)
             store = cls(at, wanted)
             store._locks.append(lock or locked(at / DEFINITION, "r+b"))
             try:
                 store._mend()
-                if read_definition(at) != wanted:
-                    check_same(at, with_edits(there, wanted, mended, bool(store.done)), wanted)  # others had the folder
+                if read_definition(at) != wanted:  # maybe others had the folder meanwhile
+                    check_same(at, with_edits(definition_there, wanted, mended, bool(store.done)), wanted)
                     store._locks.append(defined_anew(at, wanted))  # the first is held on to: others may have it open
             except BaseException:
                 store.close()
@@ -471,7 +471,7 @@ def _row(line: bytes) -> dict[str, Any] | None:
 
 
 def _is_cell(value: Any, level: int = 0) -> bool:
-    """Is it a finite number, a text or a truth, or lists of such as a knob may have?"""
+    """True if a value is a finite number, a text or a truth, or lists of these as a knob may have."""
     kind = type(value)
     if kind is float:
         return bool(-inf < value < inf)

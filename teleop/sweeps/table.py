@@ -18,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from teleop.errors import Refused, nearest, number_of
 from teleop.storage.files import replacing_text
-from teleop.sweeps.grid import counted, plain
+from teleop.sweeps.grid import check_count, json_value
 from teleop.terminal.table import columns, printable
 
 if TYPE_CHECKING:
@@ -55,22 +55,23 @@ class TableColumn:
             return self.cells.copy()
         kinds = {type(value) for value in self.values}
         if kinds and kinds <= {int, float, type(None)} and kinds != {type(None)}:
-            found = np.array([nan if value is None else float(value) for value in self.values])
+            array = np.array([nan if value is None else float(value) for value in self.values])
         else:
-            found = np.empty(len(self.values), bool if kinds == {bool} else object)
+            array = np.empty(len(self.values), bool if kinds == {bool} else object)
             for i, value in enumerate(self.values):
-                found[i] = value
-        return np.asarray(found[self.cells])
+                array[i] = value
+        return np.asarray(array[self.cells])
 
     def equals(self, value: Any) -> NDArray[np.bool_]:
-        """Whether each row has this value."""
+        """Mask of the rows that have this value."""
         import numpy as np
 
-        wanted = plain(value.item() if isinstance(value, np.generic) else value)
+        wanted = json_value(value.item() if isinstance(value, np.generic) else value)
         if self.values is None:
             is_number = isinstance(wanted, int | float) and not isinstance(wanted, bool)
             return np.asarray(self.cells == wanted) if is_number else np.zeros(len(self.cells), bool)
-        fits = [plain(each) == wanted and isinstance(each, bool) == isinstance(wanted, bool) for each in self.values]
+        fits = [json_value(each) == wanted and isinstance(each, bool) == isinstance(wanted, bool)
+                for each in self.values]
         return np.array(fits, bool)[self.cells] if fits else np.zeros(len(self.cells), bool)
 
 
@@ -192,7 +193,7 @@ class Table:
         return self._column(name).array()
 
     def array(self) -> NDArray[Any]:
-        """All columns but the sentence as one structured array, texts as texts: `np.save` writes it as it is."""
+        """Columns but the sentence as one structured array, texts as texts: `np.save` writes it as it is."""
         import numpy as np
 
         columns = {name: self[name] for name in self._columns if name != "sentence"}
@@ -214,13 +215,14 @@ class Table:
         return _of({name: column.at(keep) for name, column in self._columns.items()}, self.knobs, self.metrics)
 
     def counts(self) -> dict[str, int]:
-        """How many rows ended how: ok, limit cycle, unstable, diverged, refused, and whatever else there is."""
+        """Number of rows for each status: ok, limit cycle, unstable, diverged, refused, and any other."""
         import numpy as np
 
         column = self._columns["status"]
         number = np.bincount(column.cells, minlength=len(column.values or ())).tolist()
-        found = {str(value): count for value, count in zip(column.values or (), number, strict=False) if count}
-        return {status: found[status] for status in (*STATUSES, *sorted({*found} - {*STATUSES})) if status in found}
+        count_of = {str(value): count for value, count in zip(column.values or (), number, strict=False) if count}
+        order = (*STATUSES, *sorted({*count_of} - {*STATUSES}))
+        return {status: count_of[status] for status in order if status in count_of}
 
     def to_csv(self, path: Path | str) -> None:
         """Write all rows under a heading; a cell without a value is empty, numbers are to their last digit."""
@@ -228,8 +230,8 @@ class Table:
 
         with _whole(Path(path)) as file:
             lines = writer(file)  # with \r\n after a line (RFC 4180), so that a text with either sign is put in quotes
-            lines.writerow(self._told())
-            for _, values in self._values(self._told()):
+            lines.writerow(self._file_columns())
+            for _, values in self._values(self._file_columns()):
                 lines.writerow(["" if _missing(value) else _cell(value) for value in values])
 
     def to_jsonl(self, path: Path | str) -> None:
@@ -240,20 +242,21 @@ class Table:
         from json import dumps
 
         with _whole(Path(path)) as file:
-            for names, values in self._values(self._told()):
-                told = (None if type(value) is float and not isfinite(value) else plain(value) for value in values)
-                file.write(dumps(dict(zip(names, told, strict=True)), allow_nan=False) + "\n")
+            for names, values in self._values(self._file_columns()):
+                cells = (None if type(value) is float and not isfinite(value) else json_value(value)
+                         for value in values)
+                file.write(dumps(dict(zip(names, cells, strict=True)), allow_nan=False) + "\n")
 
     def __str__(self) -> str:
-        """How many rows ended how, and the first of them."""
+        """Summary of the statuses, and the first rows."""
         return self.text()
 
     def text(self, rows: int | None = None, *, all_by: str = "") -> str:
-        """How many rows ended how, and the first `rows` of them, left out a few.
+        """Summary of the statuses, and the first `rows` rows; left out, a few.
 
         `all_by`: what the last line says to type for all of them; left out, a call of this.
         """
-        shown = min(SHOWN if rows is None else counted("rows", rows), len(self))
+        shown = min(SHOWN if rows is None else check_count("rows", rows), len(self))
         first = ", ".join(f"{number_of(len(each), noun)}" for each, noun in (
             (self, "row"), (self.knobs, "knob"), (self.metrics, "metric")))
         if not len(self):
@@ -263,15 +266,15 @@ class Table:
         cells = self._values(names, shown)
         lines = [[printable(name, most=60) for name in names], *([*map(_short, values)] for _, values in cells)]
         to_type = all_by or f"print(table.text({len(self)}))"
-        more = [f"... and {len(self) - shown} more: {to_type}"] if len(self) > shown else []
-        return "\n".join([f"{first}: {ended}", columns(lines, left=()), *more])
+        tail = [f"... and {len(self) - shown} more: {to_type}"] if len(self) > shown else []
+        return "\n".join([f"{first}: {ended}", columns(lines, left=()), *tail])
 
     def _column(self, name: str) -> TableColumn:
         if name not in self._columns:
             raise Refused(f"the table has no column {name!r}; {nearest(str(name), self._columns)}")
         return self._columns[name]
 
-    def _told(self) -> list[str]:
+    def _file_columns(self) -> list[str]:
         """The columns for a file: the sentence only where a row has one."""
         silent = self._columns["sentence"].equals(None).all()
         return [name for name in self._columns if name != "sentence" or not silent]
@@ -356,7 +359,7 @@ def _cell(value: Any) -> Any:
     """A value for CSV: a list as JSON."""
     from json import dumps
 
-    return dumps(plain(value)) if isinstance(value, list | tuple) else value
+    return dumps(json_value(value)) if isinstance(value, list | tuple) else value
 
 
 def _short(value: Any) -> str:

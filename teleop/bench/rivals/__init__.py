@@ -1,4 +1,4 @@
-"""What a sweep costs a scenario-step (one scene, one tick of 1 ms) beside what people take for it otherwise.
+"""The cost of a scenario-step of a sweep (one scene, one tick of 1 ms) beside the usual ways to work it out.
 
 The canonical scene on one thread: wave law over 50 ms each way, the slave against a wall. Each rival is as cheap as we
 could get it with an error of at most 1e-6 m in either handle's position, and that error is measured and printed:
@@ -37,16 +37,16 @@ def rivals(rounds: int) -> list[Row]:
             present.append(make())
         except Absent as missing:
             absent.append((str(missing), "not measured", ""))
-    own: list[float] = []
+    ours_ns: list[float] = []
     theirs: list[list[float]] = [[] for _ in present]
     for _ in range(rounds):
-        own.append(best_seconds(lambda: run) / steps * 1e9)
+        ours_ns.append(best_seconds(lambda: run) / steps * 1e9)
         for times, one in zip(theirs, present, strict=True):
             times.append(best_seconds(one.ready) / one.steps * 1e9)
-    rows = [(f"ours, {engine} engine, a scenario-step", f"{median(own):.1f} ns", "exact")]
+    rows = [(f"ours, {engine} engine, a scenario-step", f"{median(ours_ns):.1f} ns", "exact")]
     for times, one in zip(theirs, present, strict=True):
-        ratio = median(b / a for a, b in zip(own, times, strict=True))
+        ratio = median(b / a for a, b in zip(ours_ns, times, strict=True))
         rows.append((one.what, f"{median(times):.1f} ns", f"error {one.error:.1e} m"))
-        rows.append(("  over ours", f"{ratio:.1f} times", f"asked: at least {one.asked}"))
+        rows.append(("  over ours", f"{ratio:.1f} times", f"asked: at least {one.bound}"))
         rows += [(f"  {what}", value, "") for what, value in one.notes]
     return rows + absent

@@ -47,11 +47,11 @@ def response(ct: Any, scene: Scene) -> Callable[[], Any]:
     grip, wall = bodies.master[0], bodies.slaves[0].c
     path = np.asarray((reference_samples(scene) or ())[0])
 
-    def tick(t: float, state: Any, given: Any, _: Any) -> Any:
+    def tick(t: float, state: Any, inputs: Any, _: Any) -> Any:
         x_m, v_m, x_s, v_s, x_d = state[:5].tolist()
         at = 5 + round(t / dt) % lag
         u, w = state[at], state[at + lag]
-        r0, r1 = given.tolist()
+        r0, r1 = inputs.tolist()
         v_d = (root * u - K * (x_d - x_s) + B * v_s) / (b + B + K * dt)
         x_d += dt * v_d
         f_s = K * (x_d - x_s) + B * (v_d - v_s)
@@ -62,7 +62,7 @@ def response(ct: Any, scene: Scene) -> Callable[[], Any]:
         after[:5] = x_m, v_m, x_s, v_s, x_d
         return after
 
-    def seen(_t: float, state: Any, _given: Any, _params: Any) -> Any:
+    def seen(_t: float, state: Any, _inputs: Any, _params: Any) -> Any:
         return state[0:4:2]
 
     loop = ct.nlsys(tick, seen, states=5 + 2 * lag, inputs=2, outputs=2, dt=dt)

@@ -42,10 +42,10 @@ def rival() -> Rival:
     scene = load_scene("canonical")
     import numpy as np
 
-    found, reference = positions(jit, scene, TOLERANCE), positions(jit, scene, TIGHT)
+    loose, reference = positions(jit, scene, TOLERANCE), positions(jit, scene, TIGHT)
     apart = float(np.abs(reference - exact_positions(scene)).max())
     return Rival("jitcdde, compiled, continuous time", 100, scene.ticks, lambda: _run(jit, scene, TOLERANCE),
-                 float(np.abs(found - reference).max()),
+                 float(np.abs(loose - reference).max()),
                  (("its scene and the sampled one differ by", f"{apart * 1e3:.2f} mm"),))
 
 
@@ -108,13 +108,13 @@ def integrator(jit: Any, scene: Scene, tolerance: float) -> Any:
 
 @contextmanager
 def _quietly() -> Iterator[None]:
-    """What it compiles with reads any pyproject.toml of the folder, prints, and turns on the log of every library."""
+    """Compile in an empty folder, without output: setuptools reads any pyproject.toml and turns on every log."""
     root = logging.getLogger()
-    kept = root.level, root.handlers[:]
+    logging_before = root.level, root.handlers[:]
     try:
         with TemporaryDirectory() as folder, chdir(folder), redirect_stdout(StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        root.setLevel(kept[0])
-        root.handlers[:] = kept[1]
+        root.setLevel(logging_before[0])
+        root.handlers[:] = logging_before[1]

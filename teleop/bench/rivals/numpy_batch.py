@@ -38,8 +38,8 @@ def located(scene: Scene, k_e: Any) -> Move:
     dt, d, n = scene.dt, surface.d, len(k_e)
     free = np.array(linear(body.mass, body.damping, 0.0, dt))[:, None]
     touch = np.array([linear(body.mass, body.damping + d, k, dt) for k in k_e]).T
-    own = np.repeat(free, n, axis=1)  # the matrix of every row as it is now
-    a11, a12, b1, a21, a22, b2 = own
+    matrices = np.repeat(free, n, axis=1)  # the matrix of every row as it is now
+    a11, a12, b1, a21, a22, b2 = matrices
     lean, touching = d / k_e, np.zeros(n, bool)
     p1, v1, t = np.zeros((3, n))
     now, changed = np.zeros((2, n), bool)
@@ -57,7 +57,7 @@ def located(scene: Scene, k_e: Any) -> Move:
             i = changed.nonzero()[0]
             p1[i], v1[i], touching[i] = change(
                 (body.mass, body.damping, d), k_e[i], dt, p[i], v[i], f[i], p1[i], v1[i], touching[i])
-            own[:, i] = np.where(touching[i], touch[:, i], free)
+            matrices[:, i] = np.where(touching[i], touch[:, i], free)
         moved = p1, v1
         p1, v1 = p, v  # free to be written into at the next tick
         return moved
@@ -175,16 +175,16 @@ def position_error(scene: Scene, wall: Callable[..., Any] = located) -> float:
     """The greatest error of either handle (m) in a run of one row, against the exact bodies."""
     import numpy as np
 
-    found = np.zeros((2, scene.ticks))
+    positions = np.zeros((2, scene.ticks))
 
     def watch(k: int, x_m: Any, x_s: Any, *_: Any) -> None:
-        found[:, k] = x_m[0], x_s[0]
+        positions[:, k] = x_m[0], x_s[0]
 
     batch(scene, np.array([scene.environments[0].k]), wall, watch)()  # type: ignore[union-attr]
-    return float(np.abs(found - exact_positions(scene)).max())
+    return float(np.abs(positions - exact_positions(scene)).max())
 
 
-class Master(NamedTuple):
+class MasterStep(NamedTuple):
     """The gripped master with `f_m = b v_m - root w` put in: `x' = xx x + xv v + xw w + drive_x[k]`, and v' alike."""
 
     xx: float
@@ -197,7 +197,7 @@ class Master(NamedTuple):
     drive_v: list[float]
 
 
-def master(scene: Scene) -> Master:
+def master(scene: Scene) -> MasterStep:
     """The master's step over a tick."""
     import numpy as np
 
@@ -208,14 +208,14 @@ def master(scene: Scene) -> Master:
     g = grip(scene.master, hand.mass, hand.k, hand.d, scene.dt)
     r = np.asarray((reference_samples(scene) or ())[0])
     slope, root = np.diff(r) / scene.dt, sqrt(2.0 * law.b)
-    return Master(g.a11, g.a12 - g.b1 * law.b, g.b1 * root, g.a21, g.a22 - g.b2 * law.b, g.b2 * root,
+    return MasterStep(g.a11, g.a12 - g.b1 * law.b, g.b1 * root, g.a21, g.a22 - g.b2 * law.b, g.b2 * root,
                   (r[1:] - g.a11 * r[:-1] - (g.a12 + g.b1 * g.b) * slope).tolist(),
                   (slope - g.a21 * r[:-1] - (g.a22 + g.b2 * g.b) * slope).tolist())
 
 
 def batch(scene: Scene, k_e: Any, wall: Callable[..., Any] = located, watch: Watch | None = None
           ) -> Callable[[], tuple[Any, Any]]:
-    """One run of `scene` with walls of each `k_e` (N/m): it returns the rms and the greatest tracking error (m) by row.
+    """Prepare a run of `scene` with walls of each `k_e` (N/m): it returns rms and greatest tracking error (m) by row.
 
     The link is a constant delay of whole ticks. `watch` is told k, x_m, x_s and the waves u, w sent at every tick.
     """
@@ -226,11 +226,11 @@ def batch(scene: Scene, k_e: Any, wall: Callable[..., Any] = located, watch: Wat
     slave[:2] -= parts(scene)[2].at  # its two positions are told from the wall's surface
     waves = [[np.zeros(n) for _ in range(lag)] for _ in range(2)]
     state = *np.zeros((8, n)), *slave, *waves, np.zeros((lag + 1, n))
-    given = scene, master(scene), wall(scene, k_e), watch
-    return lambda: _run(*given, *state)
+    fixed = scene, master(scene), wall(scene, k_e), watch
+    return lambda: _run(*fixed, *state)
 
 
-def _run(scene: Scene, c: Master, move: Any, watch: Watch | None, x_m: Any, v_m: Any, new: Any, f_s: Any, s: Any,
+def _run(scene: Scene, c: MasterStep, move: Any, watch: Watch | None, x_m: Any, v_m: Any, new: Any, f_s: Any, s: Any,
          t: Any, sq: Any, top: Any, p: Any, x_d: Any, v_s: Any, forth: Any, back: Any, old: Any) -> tuple[Any, Any]:
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""What a rival is made of, and ours beside it."""
+"""Parts common to the rivals, and our own engine beside them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Rival(NamedTuple):
     """A rival that is ready to be timed."""
 
     what: str
-    asked: int  # times ours
+    bound: int  # times ours
     steps: int  # scenario-steps of one run
     ready: Callable[[], Callable[[], Any]]  # sets a run up, which is not timed, and returns it
     error: float  # m, the greatest of x_m and x_s over a run of the canonical scene

@@ -28,7 +28,7 @@ from teleop.studies.parallel import stream
 from teleop.studies.tune.objective import Score
 from teleop.studies.tune.search import Scored, Tuned, tune_law
 from teleop.sweeps.engine import PLAIN
-from teleop.sweeps.grid import plain
+from teleop.sweeps.grid import json_value
 from teleop.sweeps.kernels.functions import digest
 from teleop.sweeps.runner import cores, plan_sweep
 from teleop.sweeps.store import Store
@@ -328,7 +328,7 @@ def definition(jobs: Sequence[LawJob]) -> dict[str, Any]:
             sources.append(str(refused))
     axes = [{"knobs": ["law"], "values": [job.law for job in jobs]},
             {"knobs": ["point"], "values": {"count": first.budget}}]
-    return {"scene": "advise", "of": first.scene, "fixed": {key: plain(each) for key, each in first.fixed.items()},
+    return {"scene": "advise", "of": first.scene, "fixed": {key: json_value(each) for key, each in first.fixed.items()},
             "objective": first.objective, "budget": first.budget, "grid": {"axes": axes, "seeds": [first.seed]},
             "metrics": [], "sources": digest(sources), "version": __version__}
 

@@ -40,7 +40,7 @@ from teleop.studies.compare.cases import BUILT_IN, Case, Comparison, cases_of, p
 from teleop.studies.compare.figures import UNSETTLED, document, judge_laws, rankings, text
 from teleop.studies.margin import margin
 from teleop.studies.parallel import in_parallel
-from teleop.sweeps.grid import plain, split_list
+from teleop.sweeps.grid import json_value, split_list
 from teleop.sweeps.runner import cores
 from teleop.sweeps.store import DEFINITION, Store
 from teleop.terminal.answer import Answer, WithUnit, with_units
@@ -220,7 +220,7 @@ def run_batch(batch: CaseBatch) -> list[dict[str, Any]]:
         of_case = {"seed_energy": _seed_energy(scene), **margins(scene, numbers[0][1])}
         for number, seed in numbers:
             row: dict[str, Any] = {"row": number, "seed": seed, "environment": case.environment, "link": case.link,
-                                   "law": case.law, "knobs": [[name, plain(value)] for name, value in
+                                   "law": case.law, "knobs": [[name, json_value(value)] for name, value in
                                                               case.knobs.items()]}
             try:
                 result = run(scene, seed=seed)

@@ -44,7 +44,7 @@ from teleop.sweeps.kernels.kernel import (
 
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _ENTER = stat.S_IXGRP | stat.S_IXOTH
-_told: set[str] = set()
+_warned: set[str] = set()
 
 
 class KernelsNotKept(UserWarning):
@@ -71,10 +71,10 @@ def open_to_others(folder: Path, stem: str = "") -> str | None:
         for end in dict.fromkeys((folder.absolute(), folder.resolve())):
             hidden = False  # below a folder that no other user may enter
             for each in (*reversed(end.parents), end):
-                found = each.stat()
-                if why := _wrong(each, found, hidden or (each != end and bool(found.st_mode & stat.S_ISVTX))):
+                status = each.stat()
+                if why := _wrong(each, status, hidden or (each != end and bool(status.st_mode & stat.S_ISVTX))):
                     return why
-                hidden = hidden or not found.st_mode & _ENTER
+                hidden = hidden or not status.st_mode & _ENTER
         for part in folder.glob(f"{stem}*") if stem else ():
             if why := _wrong(part, part.lstat(), hidden):
                 return why
@@ -85,20 +85,20 @@ def open_to_others(folder: Path, stem: str = "") -> str | None:
 
 def tell_once(why: str) -> None:
     """Warn, once in a process, that kernels are not kept."""
-    if why not in _told:
-        _told.add(why)
+    if why not in _warned:
+        _warned.add(why)
         warnings.warn(f"compiled kernels are not kept, and each process compiles its own: {why}", KernelsNotKept,
                       stacklevel=2)
 
 
-def _wrong(path: Path, found: os.stat_result, shared: bool) -> str | None:
-    """What lets another user write at `path`; `shared`: that its bits do is no harm."""
-    if found.st_uid not in (0, os.geteuid()):
-        return f"{path} belongs to another user (number {found.st_uid}); set XDG_CACHE_HOME to a folder of your own"
-    if stat.S_ISLNK(found.st_mode):
+def _wrong(path: Path, status: os.stat_result, shared: bool) -> str | None:
+    """Say what lets another user write at `path`; `shared`: its permission bits do no harm."""
+    if status.st_uid not in (0, os.geteuid()):
+        return f"{path} belongs to another user (number {status.st_uid}); set XDG_CACHE_HOME to a folder of your own"
+    if stat.S_ISLNK(status.st_mode):
         return f"{path} is a link; remove it"
-    if found.st_mode & _OTHERS and not shared:
-        return (f"others may write to {path} (mode {stat.S_IMODE(found.st_mode):o}); remove what it holds and type: "
+    if status.st_mode & _OTHERS and not shared:
+        return (f"others may write to {path} (mode {stat.S_IMODE(status.st_mode):o}); remove what it holds and type: "
                 f"chmod go-w '{path}'")
     return None
 
@@ -130,7 +130,7 @@ def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, start
 
 
 def folder() -> Path:
-    """Where the modules are kept."""
+    """Folder of the modules."""
     home = os.environ.get("XDG_CACHE_HOME")
     return (Path(home) if home else Path.home() / ".cache") / "bilateral-teleop" / "kernels"
 
@@ -201,7 +201,7 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: C
     words = {
         "row": (len(gives(scene, measures)) + 2) * width, "width": width,
         "one_path": f"({''.join(f'(paths[(t * {len(axes)} + {i}) * {width}], 0.0), ' for i in axes)})",
-        "own_paths": f"({''.join(f'(each(paths, t * {len(axes)} + {i}), 0.0), ' for i in axes)})",
+        "own_paths": f"({''.join(f'(tile_of(paths, t * {len(axes)} + {i}), 0.0), ' for i in axes)})",
     }
     kernels = "".join(KERNEL.format(name=name, reals=len(flat.reals) * width, tree=tree, call=call.format(**words))
                       for name, call in engine.calls.items())
@@ -232,7 +232,7 @@ def jit_at(text: str, lines: Sequence[int], names: dict[str, Any]) -> Any:
 
 
 def part_at(place: str) -> Any:
-    """What stands at "module:name"."""
+    """Find the part at "module:name"."""
     module, _, names = place.partition(":")
     part: Any = import_module(module)
     for name in names.split("."):
@@ -241,14 +241,14 @@ def part_at(place: str) -> Any:
 
 
 def compiled_part(place: str, *inner: str) -> Any:
-    """What stands at "module:name", compiled if it is a function; with `inner`, bound to the function there."""
+    """Compile the part at "module:name" if it is a function; with `inner`, bind it to the function there."""
     return _bound(part_at(place), compiled_part(*inner)) if inner else jitted(part_at(place))
 
 
 def _pieces(part: Any) -> tuple[Any, ...]:
     """A part, or the two that `teleop.physics.plant.bound` made it of."""
-    own = isinstance(part, partial) and len(part.args) == 1 and not part.keywords
-    return (part.func, *_pieces(part.args[0])) if own else (part,)
+    is_bound = isinstance(part, partial) and len(part.args) == 1 and not part.keywords
+    return (part.func, *_pieces(part.args[0])) if is_bound else (part,)
 
 
 def _bound(function: FunctionType, inner: Any) -> Any:
@@ -267,14 +267,14 @@ def jitted(part: Any) -> Any:
         return part
     key = part, digest(constants([part]))  # numba takes what a function names as it is now, and for ever
     if key not in _JITTED:
-        own = FunctionType(part.__code__, {"__builtins__": __builtins__}, part.__name__, part.__defaults__)
-        _JITTED[key] = jit(own)
-        own.__globals__.update({name: jitted(thing) for name, thing in named_in(part).items()})
+        copy = FunctionType(part.__code__, {"__builtins__": __builtins__}, part.__name__, part.__defaults__)
+        _JITTED[key] = jit(copy)
+        copy.__globals__.update({name: jitted(thing) for name, thing in named_in(part).items()})
     return _JITTED[key]
 
 
 def _place(word: str, part: Any) -> str:
-    """Where a part is found again by another process."""
+    """Name the place where another process finds a part."""
     place = f"{part.__module__}:{part.__qualname__}"
     if "<" in place:
         raise NotCompiled(f"{word} is made during the run, not found in a module")
@@ -319,12 +319,12 @@ def _loaded(text: str, name: str) -> ModuleType:
 
 def _kept_elsewhere(module: ModuleType, full: str) -> str | None:
     """Why the pickles that numba keeps of a module may be of another user; nothing has been read of them yet."""
-    own = [folder(), *[Path(each) for each in (os.environ.get("NUMBA_CACHE_DIR"),) if each]]
+    trusted = [folder(), *[Path(each) for each in (os.environ.get("NUMBA_CACHE_DIR"),) if each]]
     for part in vars(module).values():
         where = getattr(getattr(part, "stats", None), "cache_path", None)
         if where is None:
             continue
-        if not any(Path(where).absolute().is_relative_to(each.absolute()) for each in own):
+        if not any(Path(where).absolute().is_relative_to(each.absolute()) for each in trusted):
             return f"numba keeps them in {where}; unset what tells it so, such as .numba_config.yaml"
         if why := open_to_others(Path(where), full):
             return why
@@ -352,6 +352,6 @@ def cause(error: Exception) -> str:
         return str(error)
     lines = [line.strip() for line in str(error).splitlines()]
     noise = ("Failed in", "During:", "File", "- Resolution", "<")
-    told = [line for line in lines if line and not line.startswith(noise)]
-    said = " ".join(told[:2]) if told and told[0].endswith(":") else "".join(told[:1])
-    return f"{type(error).__name__}: {said[:200]}"
+    telling = [line for line in lines if line and not line.startswith(noise)]
+    message = " ".join(telling[:2]) if telling and telling[0].endswith(":") else "".join(telling[:1])
+    return f"{type(error).__name__}: {message[:200]}"

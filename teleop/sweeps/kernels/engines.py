@@ -33,16 +33,31 @@ from teleop.sweeps.kernels import lanes
 from teleop.sweeps.kernels.compiled import CompiledEngine, cause, jit, jitted, module, part_at
 from teleop.sweeps.kernels.figures import magnitude_of
 from teleop.sweeps.kernels.functions import branches, without_lanes
-from teleop.sweeps.kernels.kernel import Inputs, Kernel, KernelOutput, NotVectorised, gives, leaves, tree_of
+from teleop.sweeps.kernels.kernel import Kernel, KernelOutput, NotVectorised, RowInputs, gives, leaves, tree_of
 from teleop.sweeps.kernels.lanes import WIDTH, any_lane, broadcast, invert, lane, load, select, with_lane
-from teleop.sweeps.kernels.rings import as_lanes, at, each, get, put, put_selected, ring, store
+from teleop.sweeps.kernels.rings import as_lanes, at, get, put, put_selected, ring, store, tile_of
 
-__all__ = ["any_lane", "as_lanes", "at", "broadcast", "each", "get", "invert", "lane_end", "lane_part", "load", "put",
-           "put_selected", "ring", "select", "store"]
+__all__ = [
+    "any_lane",
+    "as_lanes",
+    "at",
+    "broadcast",
+    "get",
+    "invert",
+    "lane_end",
+    "lane_part",
+    "load",
+    "put",
+    "put_selected",
+    "ring",
+    "select",
+    "store",
+    "tile_of",
+]
 
 
 def lane_part(place: str) -> Any:
-    """What stands at "module:name", for lanes."""
+    """Compile the part at "module:name" for lanes."""
     return _for_lanes(part_at(place))
 
 
@@ -57,12 +72,12 @@ def _for_lanes(part: Any) -> Any:
 
 
 def lane_end(place: str) -> Any:
-    """An end of a law at "module:name", for lanes: all that it answers with has lanes."""
+    """An end of a law at "module:name", for lanes: all of its results have lanes."""
     end = part_at(place)
     why = without_lanes(end)
     try:
         if not why:
-            return _made("def call({0}): return broadcast(function({0}))", end, _for_lanes(end))
+            return _wrap("def call({0}): return broadcast(function({0}))", end, _for_lanes(end))
     except NotSpecialised as error:
         why = f"is not made of masks ({error})"
     raise NotVectorised(f"{end.__qualname__} {why}, so it runs one scene at a time")
@@ -78,14 +93,14 @@ def _masked(function: FunctionType) -> Any:
 
 
 def _lane_by_lane(function: FunctionType) -> Any:
-    return _made("def call({0}):\n"
+    return _wrap("def call({0}):\n"
                  "    told = broadcast(function({1}))\n"
                  "    for i in range(1, width):\n"
                  "        told = with_lane(told, i, function({2}))\n"
                  "    return told", function, jitted(function))
 
 
-def _made(text: str, function: FunctionType, compiled: Any) -> Any:
+def _wrap(text: str, function: FunctionType, compiled: Any) -> Any:
     """A function of the same arguments as `function`, which is `compiled`."""
     words = list(signature(function).parameters)
     names = {"function": compiled, "broadcast": broadcast, "lane": lane, "with_lane": with_lane, "width": WIDTH}
@@ -141,16 +156,16 @@ WITHOUT_LOOPS: dict[Callable[..., Any], Any] = {
 }
 
 
-Tile = list[tuple[Inputs, tuple[int, int]]]  # rows with their lags, one for each lane
+Tile = list[tuple[RowInputs, tuple[int, int]]]  # rows with their lags, one for each lane
 
 
-def called(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> list[list[KernelOutput]]:
-    """What a kernel tells of the rows of these tiles; `figures`: how many it gives of each."""
+def call_kernel(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> list[list[KernelOutput]]:
+    """Run the rows of these tiles by a kernel; `figures`: their number for each row."""
     import numpy as np
 
     rows = [row for tile in tiles for row, _ in tile]
     if rows[0].flat is not None and rows[0].flat.arrays and len(tiles) > 1:  # arrays of its own for each tile
-        return [told for tile in tiles for told in called(kernel, [tile], figures)]
+        return [outputs for tile in tiles for outputs in call_kernel(kernel, [tile], figures)]
     width, first = len(tiles[0]), rows[0]
     flats = [row.flat for row in rows if row.flat is not None]
     reals = np.frombuffer(b"".join([flat.reals for flat in flats])).reshape(len(tiles), width, -1)
@@ -173,10 +188,10 @@ def _for_each(parts: Sequence[Any], numbers: Callable[[Any], Sequence[int]]) -> 
     """Whole numbers of each part as rows of an array; worked out once for a part that is there several times."""
     import numpy as np
 
-    found = {id(part): part for part in parts}
-    if len(found) == 1:
+    distinct = {id(part): part for part in parts}
+    if len(distinct) == 1:
         return np.tile(np.array(numbers(parts[0]), dtype=np.int64), (len(parts), 1))
-    worked_out = {key: numbers(part) for key, part in found.items()}
+    worked_out = {key: numbers(part) for key, part in distinct.items()}
     return np.array([worked_out[id(part)] for part in parts], dtype=np.int64)
 
 
@@ -188,7 +203,7 @@ def by_lane(numbers: Any) -> Any:
 
 
 def address_of(array: Any) -> int:
-    """Where the numbers of an array are, in memory."""
+    """Address in memory of an array's numbers."""
     address: int = array.ctypes.data
     return address
 
@@ -212,9 +227,9 @@ VECTOR = CompiledEngine(
              (lags[t * 2 * {width}], lags[(2 * t + 1) * {width}], out[t * {row}:(t + 1) * {row}],
               start, window, last))""",
         "apart": """\
-        loop(given, law, dt, ticks, x_limit, start_m, start_s, (each(plays, 2 * t), 0), (each(plays, 2 * t + 1), 0),
-             sizes[t], {own_paths}, held,
-             (as_lanes(each(lags, 2 * t)), as_lanes(each(lags, 2 * t + 1)), out[t * {row}:(t + 1) * {row}],
+        loop(given, law, dt, ticks, x_limit, start_m, start_s, (tile_of(plays, 2 * t), 0),
+             (tile_of(plays, 2 * t + 1), 0), sizes[t], {own_paths}, held,
+             (as_lanes(tile_of(lags, 2 * t)), as_lanes(tile_of(lags, 2 * t + 1)), out[t * {row}:(t + 1) * {row}],
               start, window, last))""",
     },
 )
@@ -223,12 +238,12 @@ VECTOR = CompiledEngine(
 def scalar_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool = True) -> Kernel:
     """The kernel of a scene's structure. Raises `NotCompiled` where a part of it is not made for that."""
     kernel = module(scene, bodies, measures, SCALAR, keep=keep).kernel
-    told = gives(scene, measures)
+    names = gives(scene, measures)
 
-    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
-        return [one for one, in called(kernel, [[each] for each in zip(rows, lags, strict=True)], len(told))]
+    def run(rows: Sequence[RowInputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
+        return [one for one, in call_kernel(kernel, [[each] for each in zip(rows, lags, strict=True)], len(names))]
 
-    return Kernel("scalar", tuple(measures), told, frame_of(scene), run)
+    return Kernel("scalar", tuple(measures), names, frame_of(scene), run)
 
 
 def vector_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep: bool = True) -> Kernel:
@@ -237,31 +252,31 @@ def vector_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], *, keep
 
     if structure_of(scene).m.has.inner or structure_of(scene).s.has.inner:
         raise NotVectorised("a body with an inner state is moved one scene at a time")
-    if any(own.has.leaves_out and "compute_delay" in [stage.name for stage in own.stages]
-           for own in (structure_of(scene).m, structure_of(scene).s)):
+    if any(part.has.leaves_out and "compute_delay" in [stage.name for stage in part.stages]
+           for part in (structure_of(scene).m, structure_of(scene).s)):
         raise NotVectorised("a computation delay at an end that leaves out ticks runs one scene at a time")
     if leaves(tree_of(scene, bodies)).arrays:
         raise NotVectorised("a part with a list among its numbers runs one scene at a time")
     kernels = module(scene, bodies, measures, VECTOR, keep=keep)
-    given = gives(scene, measures)
+    names = gives(scene, measures)
 
-    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
+    def run(rows: Sequence[RowInputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
         tiles: dict[str, list[tuple[int, Tile]]] = {"alike": [], "apart": []}
         for first in range(0, len(rows), WIDTH):
             tile = list(zip(rows[first:first + WIDTH], lags[first:first + WIDTH], strict=True))
             one, lag = tile[0]
-            alike = all(row.schedule is one.schedule and row.path is one.path and own == lag for row, own in tile)
+            alike = all(row.schedule is one.schedule and row.path is one.path and part == lag for row, part in tile)
             tile += [tile[-1]] * (WIDTH - len(tile))  # lanes without a row of their own repeat the last
             tiles["alike" if alike else "apart"].append((first, tile))
-        found: dict[int, KernelOutput] = {}
+        results: dict[int, KernelOutput] = {}
         for name, several in tiles.items():
             if several:
                 try:
-                    told = called(getattr(kernels, name), [tile for _, tile in several], len(given))
+                    outputs = call_kernel(getattr(kernels, name), [tile for _, tile in several], len(names))
                 except NumbaError as error:  # compiled at the first call of its name
                     raise NotVectorised(f"rows of schedules of their own have no lanes: {cause(error)}") from error
-                for (first, _), ones in zip(several, told, strict=True):
-                    found |= enumerate(ones, first)
-        return [found[i] for i in range(len(rows))]
+                for (first, _), ones in zip(several, outputs, strict=True):
+                    results |= enumerate(ones, first)
+        return [results[i] for i in range(len(rows))]
 
-    return Kernel("vector", tuple(measures), given, frame_of(scene), run, WIDTH)
+    return Kernel("vector", tuple(measures), names, frame_of(scene), run, WIDTH)

@@ -1,6 +1,6 @@
-"""What a kernel keeps in place of a record: running figures of its run, worked out tick by tick in order.
+"""Running figures of a kernel, in place of a record: worked out tick by tick in order.
 
-Where eight scenes run side by side, each leaves the run at a tick of its own: `LaneFigures`.
+Where eight scenes run side by side, each leaves the run at its own tick: `LaneFigures`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from teleop.simulation.rest import LATE
 from teleop.stages.end import Record, Recorder, Run, RunHas
 from teleop.stages.ledger import WaveLedger
 from teleop.stages.memory import get, put, ring
-from teleop.sweeps.kernels.sums import Sums, force_of_law, place_of_law
+from teleop.sweeps.kernels.sums import FigureSums, force_of_law, place_of_law
 
 ALONG = {  # metric that is itself kept along the run -> what else is with it
     "x_err_rms": "x_err", "x_err_max": "x_err", "f_err_rms": "f_err", "f_err_max": "f_err", "f_m_max": "f_m_max",
@@ -29,30 +29,30 @@ KEPT = {**{name: (what,) for name, what in ALONG.items()}, **SUMS, "energy_out":
 SWINGS = tuple([f"swing_{i}" for i in range(LATE)])  # of the late windows, see `teleop.simulation.rest`
 
 
-def kept(name: str) -> tuple[str, ...]:
-    """What is kept along the run for a figure."""
+def accumulators(name: str) -> tuple[str, ...]:
+    """Name the values accumulated along the run for a figure."""
     return ("rest",) if name in SWINGS else KEPT[name]
 
 
-class Layout(NamedTuple):
-    """What a kernel keeps along its run: figures by themselves, groups of sums, and the largest steps of the force."""
+class FigureLayout(NamedTuple):
+    """Running values of a kernel: figures by themselves, groups of sums, and the largest steps of the force."""
 
     along: tuple[str, ...]
     groups: tuple[str, ...]
     ranks: int
 
     def names(self, axes: int) -> tuple[str, ...]:
-        """All that it gives, in order."""
+        """Names of all its values, in order."""
         return (*self.along, *[name for group in self.groups for name in names(group, axes, self.ranks)])
 
 
-def layout(measures: Sequence[str], ticks: int) -> Layout:
-    """What is kept for these figures of a run of so many ticks."""
+def layout(measures: Sequence[str], ticks: int) -> FigureLayout:
+    """Choose the running values for these figures of a run of so many ticks."""
     along = [name for name in measures if name in ALONG or name in SWINGS]
     if "energy_out" in measures and "E_port_min" not in along:
         along.append("E_port_min")
     groups = dict.fromkeys([group for name in measures if name in SUMS for group in SUMS[name]])
-    return Layout(tuple(along), tuple(groups), ranks(ticks) if "ranks" in groups else 0)
+    return FigureLayout(tuple(along), tuple(groups), ranks(ticks) if "ranks" in groups else 0)
 
 
 def most(top: float, size: float) -> float:
@@ -70,7 +70,7 @@ def root_mean(total: float, count: int) -> float:
     return sqrt(total / count) if count > 0 else float("nan")
 
 
-def known(value: float, count: int) -> float:
+def value_or_nan(value: float, count: int) -> float:
     """A figure of so many values; NaN of none."""
     return value if count > 0 else float("nan")
 
@@ -109,7 +109,7 @@ MAGNITUDES = {1: magnitude1, 2: magnitude2, 3: magnitude3}  # written out: of fe
 
 
 class Past(Record):
-    """What one axis was some ticks ago, and how far the other end is from it."""
+    """State of one axis some ticks ago, and the distance of the other end from it."""
 
     old_x: Any  # places of the master, m
     old_f: Any  # forces on what the slave touches, N
@@ -117,7 +117,7 @@ class Past(Record):
     d_f: float
 
 
-class Place(Record):
+class WindowRange(Record):
     """The place of one axis of one end in a window, see `teleop.simulation.rest`."""
 
     low: float  # the lowest so far, m
@@ -126,7 +126,7 @@ class Place(Record):
     fall: float
 
 
-class Figures(Recorder):
+class RunningFigures(Recorder):
     """The figures and sums of a layout, and whether all is finite at the end."""
 
     axes: tuple[Past, ...]
@@ -165,33 +165,33 @@ class Figures(Recorder):
     size: int  # of a ring
     finite: float  # 1.0 if all is finite at the end, else 0.0
 
-    def __init__(self, axes: int, has: RunHas, wanted: Layout) -> None:
+    def __init__(self, axes: int, has: RunHas, wanted: FigureLayout) -> None:
         super().__init__()
         self.measures = wanted.along
         self.ledgers = ("E_link",) * has.waves + ("E_port",) * has.energy + ("E_law",) * has.stored
         self.least_of_ledgers = tuple([f"{name}_min" for name in self.ledgers])
-        self.keeps = frozenset([each for name in wanted.along for each in kept(name)])
+        self.keeps = frozenset([each for name in wanted.along for each in accumulators(name)])
         if "turns" in wanted.groups:
             self.keeps |= {"rest"}
         self.axes = tuple([Past(f"{i}") for i in range(axes)])
-        self.places = tuple([Place(f"{e}{i}_place") for e in ("m", "s")[: 1 + has.slave] for i in range(axes)])
+        self.places = tuple([WindowRange(f"{e}{i}_place") for e in ("m", "s")[: 1 + has.slave] for i in range(axes)])
         self.groups = frozenset(wanted.groups)
-        self.sums = Sums(axes, wanted.groups, wanted.ranks)
+        self.sums = FigureSums(axes, wanted.groups, wanted.ranks)
         self.cells = tuple([cell for group in wanted.groups for cell in self.sums.cells(group, self.places)])
 
-    def begin(self, run: Run, asked: Any, size: int) -> None:
+    def begin(self, run: Run, request: Any, size: int) -> None:
         """Before the first tick."""
-        self.lag_x = asked[0]
-        self.lag_f = asked[1]
+        self.lag_x = request[0]
+        self.lag_f = request[1]
         self.size = size
         if "x_err" in self.keeps:
             self.x_err_sq = self.x_err_max = 0.0
-            for m, own in zip(run.m.axes, self.axes, strict=True):
-                own.old_x = ring(m.x, size)
+            for m, acc in zip(run.m.axes, self.axes, strict=True):
+                acc.old_x = ring(m.x, size)
         if "f_err" in self.keeps:
             self.f_err_sq = self.f_err_max = 0.0
-            for m, own in zip(run.m.axes, self.axes, strict=True):
-                own.old_f = ring(m.x, size)
+            for m, acc in zip(run.m.axes, self.axes, strict=True):
+                acc.old_f = ring(m.x, size)
         for name in ("f_m_max", "f_s_max", "f_h_max", "f_env_max"):
             if name in self.keeps:
                 setattr(self, name, 0.0)
@@ -204,12 +204,12 @@ class Figures(Recorder):
             self.g_s_min = 1.0
         self.told_m = self.told_s = self.told_of = 0.0
         if "rest" in self.keeps:
-            self.start = self.next = asked[-3]
-            self.window = asked[-2]
+            self.start = self.next = request[-3]
+            self.window = request[-2]
             self.swing_0 = self.swing_1 = self.swing_2 = self.swing_3 = 0.0
             for place in self.places:
                 place.low = place.high = place.rise = place.fall = 0.0
-        self.sums.begin(run, asked)
+        self.sums.begin(run, request)
 
     def step(self, run: Run, k: int) -> None:
         """After both ends' tick k."""
@@ -237,7 +237,7 @@ class Figures(Recorder):
         if run.m.stage.watchdog:
             self.g_m_min = least(self.g_m_min, run.m.stage.watchdog.g)
             self.g_s_min = least(self.g_s_min, run.s.stage.watchdog.g)
-        self.count_told(run)
+        self.count_messages(run)
         if "rest" in self.keeps:
             self.look(run, k)
         if len(self.groups) > 0:
@@ -248,7 +248,7 @@ class Figures(Recorder):
         if "free" in self.groups:
             self.sums.feel(run, k)
         if "jerk" in self.groups:
-            self.sums.smooth(run, self.magnitude(*[a.f - own.f_was for a, own in zip(
+            self.sums.smooth(run, self.magnitude(*[a.f - acc.f_was for a, acc in zip(
                 run.m.axes, self.sums.axes, strict=True)]), k)
         if "free" in self.groups or "jerk" in self.groups:
             self.sums.keep(run)
@@ -257,7 +257,7 @@ class Figures(Recorder):
         if "turns" in self.groups:
             self.sums.turn(run, k, self.start, self.window)
 
-    def count_told(self, run: Run) -> None:
+    def count_messages(self, run: Run) -> None:
         """The messages that the ends sent, and the ticks."""
         if "told" in self.keeps:
             self.told_m = self.told_m + run.m.stage.deadband.send
@@ -266,24 +266,24 @@ class Figures(Recorder):
 
     def track_x(self, run: Run, k: int) -> None:
         """The slave's place against the master's of `lag_x` ticks ago, 0 before there is one."""
-        for m, own in zip(run.m.axes, self.axes, strict=True):
-            put(own.old_x, k, self.size, place_of_law(run.m, m))
+        for m, acc in zip(run.m.axes, self.axes, strict=True):
+            put(acc.old_x, k, self.size, place_of_law(run.m, m))
         self.n_x = k + 1 - self.lag_x
-        for s, own in zip(run.s.axes, self.axes, strict=True):
-            past = get(own.old_x, k - self.lag_x, self.size)
-            own.d_x = place_of_law(run.s, s) - past if k >= self.lag_x else 0.0
-        err = self.magnitude(*[own.d_x for own in self.axes])
+        for s, acc in zip(run.s.axes, self.axes, strict=True):
+            past = get(acc.old_x, k - self.lag_x, self.size)
+            acc.d_x = place_of_law(run.s, s) - past if k >= self.lag_x else 0.0
+        err = self.magnitude(*[acc.d_x for acc in self.axes])
         self.x_err_sq = self.x_err_sq + err * err
         self.x_err_max = most(self.x_err_max, err)
 
     def track_f(self, run: Run, k: int) -> None:
         """The master's force against that on what the slave touches of `lag_f` ticks ago, 0 before there is one."""
-        for s, own in zip(run.s.axes, self.axes, strict=True):
-            put(own.old_f, k, self.size, force_of_law(run.s, s))
+        for s, acc in zip(run.s.axes, self.axes, strict=True):
+            put(acc.old_f, k, self.size, force_of_law(run.s, s))
         self.n_f = k + 1 - self.lag_f
-        for m, own in zip(run.m.axes, self.axes, strict=True):
-            own.d_f = m.f - get(own.old_f, k - self.lag_f, self.size) if k >= self.lag_f else 0.0
-        err = self.magnitude(*[own.d_f for own in self.axes])
+        for m, acc in zip(run.m.axes, self.axes, strict=True):
+            acc.d_f = m.f - get(acc.old_f, k - self.lag_f, self.size) if k >= self.lag_f else 0.0
+        err = self.magnitude(*[acc.d_f for acc in self.axes])
         self.f_err_sq = self.f_err_sq + err * err
         self.f_err_max = most(self.f_err_max, err)
 
@@ -296,28 +296,28 @@ class Figures(Recorder):
             self.swing_1 = self.swing_2
             self.swing_2 = self.swing_3
             self.swing_3 = self.swing_4
-            for a, own in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
-                own.low = a.x
-                own.high = a.x
-                own.rise = 0.0
-                own.fall = 0.0
+            for a, acc in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
+                acc.low = a.x
+                acc.high = a.x
+                acc.rise = 0.0
+                acc.fall = 0.0
         elif k > self.start:
-            for a, own in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
-                if a.x < own.low:
-                    own.low = a.x
-                    own.fall = max(own.fall, own.high - a.x)
-                elif a.x > own.high:
-                    own.high = a.x
-                    own.rise = max(own.rise, a.x - own.low)
+            for a, acc in zip([a for e in run.ends for a in e.axes], self.places, strict=True):
+                if a.x < acc.low:
+                    acc.low = a.x
+                    acc.fall = max(acc.fall, acc.high - a.x)
+                elif a.x > acc.high:
+                    acc.high = a.x
+                    acc.rise = max(acc.rise, a.x - acc.low)
                 else:
-                    own.rise = max(own.rise, a.x - own.low)
-                    own.fall = max(own.fall, own.high - a.x)
+                    acc.rise = max(acc.rise, a.x - acc.low)
+                    acc.fall = max(acc.fall, acc.high - a.x)
 
     def close(self, run: Run) -> None:
         """The swing of a window that is over."""
         self.swing_4 = 0.0
-        for own in self.places:
-            self.swing_4 = most(self.swing_4, least(own.rise, own.fall))
+        for acc in self.places:
+            self.swing_4 = most(self.swing_4, least(acc.rise, acc.fall))
 
     def outcome(self, run: Run, ticks: int, complete: bool) -> Any:
         """The ticks that ran, below zero if the run left its bounds in the last of them, and the figures."""
@@ -338,15 +338,15 @@ class Figures(Recorder):
             *[getattr(self, name) - getattr(self, name) for name in self.ledgers]]) < 1.0 else 0.0
 
     def figure(self, run: Run, name: str) -> Any:
-        """One figure."""
+        """Work out a figure at the end."""
         if name == "x_err_rms":
             return root_mean(self.x_err_sq, self.n_x)
         if name == "x_err_max":
-            return known(self.x_err_max, self.n_x)
+            return value_or_nan(self.x_err_max, self.n_x)
         if name == "f_err_rms":
             return root_mean(self.f_err_sq, self.n_f)
         if name == "f_err_max":
-            return known(self.f_err_max, self.n_f)
+            return value_or_nan(self.f_err_max, self.n_f)
         if name in ("E_link_end", "E_port_end", "E_law_end"):
             return self.E_link if name == "E_link_end" else self.E_port if name == "E_port_end" else self.E_law
         if name in ("sent_fwd", "sent_bwd"):
@@ -354,7 +354,7 @@ class Figures(Recorder):
         return getattr(self, name)
 
 
-class LaneFigures(Figures):
+class LaneFigures(RunningFigures):
     """The same of eight scenes, each stored when it leaves its bounds, or at the end."""
 
     out: Any
@@ -362,9 +362,9 @@ class LaneFigures(Figures):
     within: Any
     left: Any
 
-    def begin(self, run: Run, asked: Any, size: int) -> None:
-        Figures.begin(self, run, asked, size)
-        self.out = asked[2]
+    def begin(self, run: Run, request: Any, size: int) -> None:
+        RunningFigures.begin(self, run, request, size)
+        self.out = request[2]
         self.alive = True
 
     def lost(self, run: Run, x_limit: Any, k: int) -> Any:

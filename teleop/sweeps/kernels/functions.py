@@ -1,4 +1,6 @@
-"""What functions depend on, as text: so that an edit anywhere below them is seen.
+"""Functions as the compiler sees them: a digest of all they depend on, and the limits of their instructions.
+
+The digest changes with an edit anywhere below a function.
 
 A function is its code, its defaults, and all that it names around it: functions and classes and what those name, what
 it takes from modules, and constants of any kind. The code is that in memory: a file may have been edited since.
@@ -33,18 +35,18 @@ def sources(parts: Iterable[Any]) -> list[str]:
 
 
 def constants(parts: Iterable[Any]) -> list[str]:
-    """Those among them that are not source: what may be given another value while a process runs."""
+    """Texts of the parts that are not source: constants that may change while a process runs."""
     seen: set[int] = set()
     return [text for part in parts for text in _texts(part, seen, source=False)]
 
 
 def file_digest(path: Path) -> str:
-    """That of a file."""
+    """Digest of a file."""
     return sha256(read_bytes(path)).hexdigest()[:20]
 
 
 def named_in(function: FunctionType) -> dict[str, Any]:
-    """What a function finds by name around it, in the functions within it too."""
+    """Globals that a function and the functions within it name."""
     return {name: function.__globals__[name] for name in _names(function.__code__) if name in function.__globals__}
 
 
@@ -55,7 +57,7 @@ def _names(code: CodeType) -> tuple[str, ...]:
 
 
 def _texts(part: Any, seen: set[int], *, source: bool = True, names: tuple[str, ...] = ()) -> Iterator[str]:
-    """Those of one part; of a module, of what is called by these names."""
+    """Texts of one part; of a module, of its members with these names."""
     part = getattr(part, "py_func", part)  # of one that is compiled already
     if isinstance(part, ModuleType):
         if part.__name__.partition(".")[0] not in VERSIONED:
@@ -110,7 +112,7 @@ EXACT = frozenset(("sqrt", "fabs"))  # of math: what lanes have too
 
 
 def unlike_python(function: FunctionType) -> str | None:
-    """What compiled code works out otherwise than Python, if the function has it."""
+    """Name an instruction of the function that means something else in compiled code; none if there is none."""
     for each in _all(function):
         before = None
         for now in dis.get_instructions(each.__code__):
@@ -130,7 +132,7 @@ def branches(function: FunctionType) -> bool:
 
 
 def without_lanes(function: FunctionType) -> str | None:
-    """What of a function eight scenes side by side cannot do, if it has it."""
+    """Name a part of the function that eight scenes side by side cannot run; none if there is none."""
     for each in _all(function):
         names = {now.opname for now in dis.get_instructions(each.__code__)}
         if "FOR_ITER" in names and names.intersection(COMPREHENDS):

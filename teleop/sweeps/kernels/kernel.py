@@ -30,7 +30,16 @@ from teleop.simulation.source import Lines, functions, lines
 from teleop.simulation.structure import numbers_of, record, structure_of
 from teleop.simulation.tick import loop
 from teleop.stages.end import RunHas
-from teleop.sweeps.kernels.figures import KEPT, MAGNITUDES, SWINGS, Figures, LaneFigures, kept, layout, magnitude_of
+from teleop.sweeps.kernels.figures import (
+    KEPT,
+    MAGNITUDES,
+    SWINGS,
+    LaneFigures,
+    RunningFigures,
+    accumulators,
+    layout,
+    magnitude_of,
+)
 
 if TYPE_CHECKING:
     from teleop.simulation.plan import Plan
@@ -43,8 +52,8 @@ class NotVectorised(NotCompiled):
     """Why a structure of scene has no kernel over lanes."""
 
 
-class Inputs(NamedTuple):
-    """What a row gives its kernel."""
+class RowInputs(NamedTuple):
+    """Inputs of a kernel for one row."""
 
     tree: Any  # its numbers, see `tree_of`
     flat: Leaves | None  # the same laid out flat, for compiled code
@@ -78,7 +87,7 @@ class Kernel(NamedTuple):
     measures: tuple[str, ...]  # the figures that are asked of it
     gives: tuple[str, ...]  # the figures and sums that it gives, in order
     frame: Frame  # of the scene that it is made of
-    run: Callable[[Sequence[Inputs], Sequence[tuple[int, int]]], list[KernelOutput]]  # of rows and their lags
+    run: Callable[[Sequence[RowInputs], Sequence[tuple[int, int]]], list[KernelOutput]]  # of rows and their lags
     width: int = 1  # rows that it runs at once
     why: str = ""  # it runs them, where another engine was asked for
     fallback: Callable[[str], Kernel] | None = None  # makes, with a reason, the kernel of rows that this one cannot run
@@ -92,8 +101,10 @@ def available(scene: Scene) -> frozenset[str]:
 
 @lru_cache(maxsize=256)
 def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
-    there = {"waves": has.waves, "energy": has.energy, "stored": has.stored, "watchdog": watchdog, "told": has.deadband}
-    named = {name for name, what in KEPT.items() if name not in AT_REST and all(there.get(each, True) for each in what)}
+    offered = {"waves": has.waves, "energy": has.energy, "stored": has.stored, "watchdog": watchdog,
+               "told": has.deadband}
+    named = {name for name, what in KEPT.items()
+             if name not in AT_REST and all(offered.get(each, True) for each in what)}
     of_slave = {"x_err_rms", "x_err_max", "f_err_rms", "f_err_max", "f_s_max", "f_env_max", "g_s_min"}
     return frozenset(named if has.slave else named - of_slave - OF_SLAVE)
 
@@ -101,10 +112,10 @@ def _available(has: RunHas, watchdog: bool) -> frozenset[str]:
 def kernel_lines(scene: Scene, measures: Sequence[str], *, engine: str = "plain") -> Lines:
     """The lines of a scene's loop that work out `measures` as they go, and at the end whether all is finite."""
     structure = structure_of(scene)
-    kinds = {each for name in measures for each in kept(name)}
-    m, s = [own._replace(has=own.has._replace(felt=own.has.felt or bool(kinds & felt))) for own, felt in (
+    kinds = {each for name in measures for each in accumulators(name)}
+    m, s = [end._replace(has=end.has._replace(felt=end.has.felt or bool(kinds & felt))) for end, felt in (
         (structure.m, {"f_h_max"}), (structure.s, {"f_err", "f_env_max", "free", "f_env", "touch"}))]
-    return lines(structure._replace(m=m, s=s), loop, LaneFigures if engine == "vector" else Figures,
+    return lines(structure._replace(m=m, s=s), loop, LaneFigures if engine == "vector" else RunningFigures,
                  (structure.axes, structure.has, layout(measures, scene.ticks)), engine=engine)
 
 
@@ -119,7 +130,7 @@ def functions_of_kernel(scene: Scene, bodies: Bodies) -> dict[str, Any]:
 
 
 def names_of(scene: Scene, bodies: Bodies, made: Lines | None = None) -> dict[str, Any]:
-    """All that the lines of a kernel find by name."""
+    """Names that the lines of a kernel use, with their functions."""
     return (made or kernel_lines(scene, ())).names(functions_of_kernel(scene, bodies))
 
 
@@ -127,7 +138,7 @@ def plain_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kerne
     """The kernel in plain Python."""
     own_loop = kernel_lines(scene, measures).function(functions_of_kernel(scene, bodies))
 
-    def run(rows: Sequence[Inputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
+    def run(rows: Sequence[RowInputs], lags: Sequence[tuple[int, int]]) -> list[KernelOutput]:
         outputs = []
         for row, lag in zip(rows, lags, strict=True):
             numbers, law, dt, x_limit, start_m, start_s, held = row.tree
@@ -142,7 +153,7 @@ def plain_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str]) -> Kerne
 
 
 def has_packets(plan: Plan | None) -> bool:
-    """Is a plan one of packets; that of a one-port scene says which ticks are left out, and no more."""
+    """True if a plan is of packets; the plan of a one-port scene has the skipped ticks alone."""
     return plan is not None and plan.sent > 0
 
 
@@ -157,7 +168,7 @@ class LinkSchedule(NamedTuple):
 
     @classmethod
     def of(cls, plans: tuple[Plan | None, Plan | None]) -> LinkSchedule:
-        """That of two plans."""
+        """Schedule of two plans."""
         import numpy as np
 
         plays = tuple([np.zeros(0, np.int64) if plan is None else plan.played_at for plan in plans])
@@ -167,7 +178,7 @@ class LinkSchedule(NamedTuple):
         return cls(plans, plays, orders, lags, size)  # type: ignore[arg-type]  # there are two
 
     def lags_until(self, ran: int) -> tuple[int, int]:
-        """Those of a run that ended early."""
+        """Lags of a run that ended early."""
         if ran == len(self.plays[0]):
             return self.lags
         fwd, bwd = [median_age(play[:ran]) if has_packets(plan) else 1 for plan, play in
@@ -195,7 +206,7 @@ def _numbers_of_law(law: Any) -> Any:
         raise NotCompiled(f"law {law_name(law)} has {odd}={getattr(law, odd)!r}, which is no number") from None
 
 
-def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict[str, float]]]:
+def figures(kernel: Kernel, rows: Sequence[RowInputs]) -> list[tuple[str, int, dict[str, float]]]:
     """Status, ticks and figures of rows; a figure that is not finite is left out, as in a single run.
 
     Where the kernel gives the swings of the late windows, the status is that of `Still`, and of a run that came to its
@@ -205,31 +216,32 @@ def figures(kernel: Kernel, rows: Sequence[Inputs]) -> list[tuple[str, int, dict
     lags = [row.schedule.lags for row in rows]
     outputs = kernel.run(rows, lags)
     # The lag of a run that ended early is that of the messages which came until then.
-    own = {i: rows[i].schedule.lags_until(-output.ran) for i, output in enumerate(outputs) if output.ran < 0}
-    if any(group in AT_END for name in kernel.measures for group in kept(name)):  # and its last ticks are others
-        for i, lag in own.items():
+    early_lags = {i: rows[i].schedule.lags_until(-output.ran) for i, output in enumerate(outputs) if output.ran < 0}
+    # Its last ticks are others too.
+    if any(group in AT_END for name in kernel.measures for group in accumulators(name)):
+        for i, lag in early_lags.items():
             if outputs[i].ran != -rows[i].ticks:
                 outputs[i], = kernel.run([rows[i]._replace(ticks=-outputs[i].ran)], [lag])
-    elif again := [i for i, lag in own.items() if lag != lags[i]]:
-        anew = kernel.run([rows[i] for i in again], [own[i] for i in again])
+    elif again := [i for i, lag in early_lags.items() if lag != lags[i]]:
+        anew = kernel.run([rows[i] for i in again], [early_lags[i] for i in again])
         for i, output in zip(again, anew, strict=True):
             outputs[i] = output
-    found = []
+    results = []
     for row, output in zip(rows, outputs, strict=True):
         status = "ok" if output.ran >= 0 and output.figures[-1] == 1.0 else "diverged"
-        given = dict(zip(kernel.gives, output.figures[:-1], strict=True))
-        named = {name: given[name] for name in kernel.measures if name in given and name not in SWINGS}
+        values = dict(zip(kernel.gives, output.figures[:-1], strict=True))
+        named = {name: values[name] for name in kernel.measures if name in values and name not in SWINGS}
         if "energy_out" in kernel.measures:
-            named["energy_out"] = given_out(given["E_port_min"])
+            named["energy_out"] = given_out(values["E_port_min"])
         ran, frame = abs(output.ran), row.frame or kernel.frame
-        named |= summed(kernel.measures, given, frame, ran, min(frame.last, ran))
+        named |= summed(kernel.measures, values, frame, ran, min(frame.last, ran))
         if row.still is not None and status == "ok":
-            swings = [given[name] for name in SWINGS]
+            swings = [values[name] for name in SWINGS]
             status, named["swing_end"] = row.still.status(swings, sum(row.schedule.lags)), swings[-1]
-            named |= resting(kernel.measures, given, frame, status)
+            named |= resting(kernel.measures, values, frame, status)
         known = {name: float(value) for name, value in named.items() if isfinite(value)}
-        found.append((status, abs(output.ran), known))
-    return found
+        results.append((status, abs(output.ran), known))
+    return results
 
 
 FLOATS = {float}
@@ -247,11 +259,11 @@ class Leaves(NamedTuple):
 
 def leaves(tree: Any) -> Leaves:
     """A tree taken apart. A list is an array; None the whole number 0: what a kernel is given and does not name."""
-    found = Leaves((), array("d"), [], [])
+    flat = Leaves((), array("d"), [], [])
     shape: list[Any] = []
-    _take(tree, shape, *found[1:])
+    _take(tree, shape, *flat[1:])
     kind = tuple(shape)
-    return Leaves(_SHAPES.setdefault(kind, kind), *found[1:])
+    return Leaves(_SHAPES.setdefault(kind, kind), *flat[1:])
 
 
 def _take(tree: Any, shape: list[Any], reals: array[float], wholes: list[int], arrays: list[Any]) -> None:
@@ -278,12 +290,12 @@ def _take(tree: Any, shape: list[Any], reals: array[float], wholes: list[int], a
 
 
 def expression(shape: tuple[Any, ...], real: str, class_name: Callable[[type], str]) -> str:
-    """What puts the tree together, `real` with the number of a float in place of `{}`."""
+    """Expression that puts the tree together, `real` with the number of a float in place of `{}`."""
     numbers = {"f": count(), "i": count(), "a": count()}
     words = {"f": real, "i": "wholes[{}]", "a": "arrays[{}]"}
 
     def some(code: Any, rest: Iterator[Any]) -> list[str]:
-        """What one code stands for: several numbers side by side, or one tuple."""
+        """Terms of one code: several numbers side by side, or one tuple."""
         if isinstance(code, int) or code in words:
             kind, many = ("f", code) if isinstance(code, int) else (code, 1)
             return [words[kind].format(next(numbers[kind])) for _ in range(many)]
@@ -322,7 +334,7 @@ class Schedules:
 
 
 def schedules_key(scene: Scene, seed: int) -> Any:
-    """What tells the schedules of a row from those of others."""
+    """Key that tells the schedules of a row from other rows'."""
     left_out = scene.left_out_m, scene.left_out_s
     if scene.link is None and left_out == (None, None) and scene.deadband is None:
         return "no link", scene.ticks, scene.dt_ns
@@ -353,7 +365,7 @@ def path_of(scene: Scene, *, compiled: bool) -> Any:
 
 
 def _once(key: Any, ticks: int, make: Callable[[], Any]) -> Any:
-    """What `make` gives, kept for the next rows; the oldest is dropped. A key that cannot be kept is made anew."""
+    """Call `make` once for a key and keep its result; the oldest is dropped. A key without a hash is made anew."""
     try:
         if (held := _HELD.get(key)) is not None:
             return held[0]

@@ -37,13 +37,13 @@ class LanesType(types.Type):  # type: ignore[misc]  # numba has no types
     def __init__(self) -> None:
         super().__init__(name=f"lanes{WIDTH}")
 
-    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+    def can_convert_from(self, typingctx: Any, kind: Any) -> Any:
         from numba.core.typeconv import Conversion
 
-        return Conversion.safe if _spreads(other) else None
+        return Conversion.safe if _spreads(kind) else None
 
-    def unify(self, typingctx: Any, other: Any) -> Any:
-        return self if _spreads(other) else None
+    def unify(self, typingctx: Any, kind: Any) -> Any:
+        return self if _spreads(kind) else None
 
 
 class MaskType(types.Type):  # type: ignore[misc]
@@ -52,13 +52,13 @@ class MaskType(types.Type):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__(name=f"mask{WIDTH}")
 
-    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+    def can_convert_from(self, typingctx: Any, kind: Any) -> Any:
         from numba.core.typeconv import Conversion
 
-        return Conversion.safe if isinstance(other, types.Boolean) else None
+        return Conversion.safe if isinstance(kind, types.Boolean) else None
 
-    def unify(self, typingctx: Any, other: Any) -> Any:
-        return self if isinstance(other, types.Boolean) else None
+    def unify(self, typingctx: Any, kind: Any) -> Any:
+        return self if isinstance(kind, types.Boolean) else None
 
 
 lanes, mask = LanesType(), MaskType()
@@ -110,9 +110,9 @@ def _operation(word: Any, arity: int, emit: Callable[..., Any], *, result: Any =
     """Give an operator or a function of Python its meaning on lanes: `emit(builder, *vectors)`."""
 
     def generic(self: Any, args: Any, kws: Any) -> Any:  # noqa: ARG001
-        own = any(arg is of or (of is lanes and arg is mask) for arg in args)
+        has_lanes = any(arg is of or (of is lanes and arg is mask) for arg in args)
         fits = all(arg is of or (_spreads(arg) if of is lanes else isinstance(arg, types.Boolean)) for arg in args)
-        return signature(result, *[of] * len(args)) if own and fits and len(args) == arity else None
+        return signature(result, *[of] * len(args)) if has_lanes and fits and len(args) == arity else None
 
     infer_global(word)(type(f"Lanes_{getattr(word, '__name__', word)}", (AbstractTemplate,), {"generic": generic}))
 
@@ -124,10 +124,10 @@ def _operation(word: Any, arity: int, emit: Callable[..., Any], *, result: Any =
 
 def _choose(sign: str) -> Callable[..., Any]:
     """`max` or `min`: the next where it is greater or less than what was kept until then."""
-    def emit(builder: Any, kept: Any, *others: Any) -> Any:
-        for other in others:
-            kept = builder.select(builder.fcmp_ordered(sign, other, kept), other, kept)
-        return kept
+    def emit(builder: Any, best: Any, *values: Any) -> Any:
+        for value in values:
+            best = builder.select(builder.fcmp_ordered(sign, value, best), value, best)
+        return best
 
     return emit
 
@@ -173,21 +173,21 @@ def tree_type(kind: Any, leaf: Callable[[Any], Any]) -> Any:
     """The type of a tree with other types for its numbers."""
     if not isinstance(kind, types.BaseTuple):
         return leaf(kind)
-    own = kind.instance_class if isinstance(kind, types.BaseNamedTuple) else None
-    return types.BaseTuple.from_types(tuple([tree_type(each, leaf) for each in kind.types]), own)
+    tuple_class = kind.instance_class if isinstance(kind, types.BaseNamedTuple) else None
+    return types.BaseTuple.from_types(tuple([tree_type(each, leaf) for each in kind.types]), tuple_class)
 
 
 def tree_value(context: Any, builder: Any, kind: Any, result: Any, value: Any, leaf: Callable[[Any, Any], Any]) -> Any:
     """The value of a tree of type `result`, made of one of type `kind`: `leaf(kind, value)` for each number."""
     if not isinstance(kind, types.BaseTuple):
         return leaf(kind, value)
-    parts = [tree_value(context, builder, each, there, builder.extract_value(value, i), leaf)
-             for i, (each, there) in enumerate(zip(kind.types, result.types, strict=True))]
+    parts = [tree_value(context, builder, each, result_kind, builder.extract_value(value, i), leaf)
+             for i, (each, result_kind) in enumerate(zip(kind.types, result.types, strict=True))]
     return context.make_tuple(builder, result, parts)
 
 
 def numbers_in(kind: Any) -> int:
-    """How many numbers a tree of this type has."""
+    """Count the numbers of a tree of this type."""
     return sum(map(numbers_in, kind.types)) if isinstance(kind, types.BaseTuple) else 1
 
 
@@ -205,9 +205,9 @@ def broadcast(typingctx: Any, tree: Any) -> Any:  # noqa: ARG001
 
 @intrinsic_of
 def lane(typingctx: Any, tree: Any, i: Any) -> Any:  # noqa: ARG001
-    """The tree of lane i; what has no lanes is the same in all."""
+    """The tree of lane i; a number without lanes is the same in all."""
 
-    def one(kind: Any) -> Any:
+    def lane_type(kind: Any) -> Any:
         return {lanes: types.float64, mask: types.boolean}.get(kind, kind)
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -218,7 +218,7 @@ def lane(typingctx: Any, tree: Any, i: Any) -> Any:  # noqa: ARG001
 
         return tree_value(context, builder, tree, sig.return_type, args[0], leaf)
 
-    return tree_type(tree, one)(tree, types.intp), make
+    return tree_type(tree, lane_type)(tree, types.intp), make
 
 
 @intrinsic_of
@@ -226,12 +226,12 @@ def with_lane(typingctx: Any, tree: Any, i: Any, one: Any) -> Any:  # noqa: ARG0
     """A tree of lanes with the numbers of the tree `one` in lane i."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        def into(kind: Any, there: Any, value: Any, other: Any) -> Any:
+        def into(kind: Any, lane_kind: Any, value: Any, number: Any) -> Any:
             if not isinstance(kind, types.BaseTuple):
-                return builder.insert_element(value, context.cast(builder, other, there, types.float64), args[1])
+                return builder.insert_element(value, context.cast(builder, number, lane_kind, types.float64), args[1])
             return context.make_tuple(builder, kind, [
-                into(each, also, builder.extract_value(value, n), builder.extract_value(other, n))
-                for n, (each, also) in enumerate(zip(kind.types, there.types, strict=True))])
+                into(each, also, builder.extract_value(value, n), builder.extract_value(number, n))
+                for n, (each, also) in enumerate(zip(kind.types, lane_kind.types, strict=True))])
 
         return into(tree, one, args[0], args[2])
 
@@ -239,30 +239,30 @@ def with_lane(typingctx: Any, tree: Any, i: Any, one: Any) -> Any:  # noqa: ARG0
 
 
 @intrinsic_of
-def select(typingctx: Any, which: Any, here: Any, there: Any) -> Any:
+def select(typingctx: Any, which: Any, here: Any, otherwise: Any) -> Any:
     """`here` where the mask is true, `there` in the other lanes: numbers, truths, or tuples of such."""
 
-    def type_of(one: Any, other: Any) -> Any:
+    def type_of(one: Any, second: Any) -> Any:
         if isinstance(one, types.BaseTuple):
-            own = one.instance_class if isinstance(one, types.BaseNamedTuple) else None
-            return types.BaseTuple.from_types(tuple(map(type_of, one.types, other.types)), own)
-        if all(isinstance(each, types.Boolean | MaskType) for each in (one, other)):
-            return mask if MaskType in (type(which), type(one), type(other)) else types.boolean
-        with_lanes = isinstance(which, MaskType) or LanesType in (type(one), type(other))
-        return lanes if with_lanes else typingctx.unify_types(one, other)
+            tuple_class = one.instance_class if isinstance(one, types.BaseNamedTuple) else None
+            return types.BaseTuple.from_types(tuple(map(type_of, one.types, second.types)), tuple_class)
+        if all(isinstance(each, types.Boolean | MaskType) for each in (one, second)):
+            return mask if MaskType in (type(which), type(one), type(second)) else types.boolean
+        with_lanes = isinstance(which, MaskType) or LanesType in (type(one), type(second))
+        return lanes if with_lanes else typingctx.unify_types(one, second)
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        def choose(kind: Any, one: Any, other: Any, a: Any, b: Any) -> Any:
+        def choose(kind: Any, one: Any, two: Any, a: Any, b: Any) -> Any:
             if isinstance(kind, types.BaseTuple):
                 return context.make_tuple(builder, kind, [
-                    choose(each, one.types[i], other.types[i], builder.extract_value(a, i), builder.extract_value(b, i))
+                    choose(each, one.types[i], two.types[i], builder.extract_value(a, i), builder.extract_value(b, i))
                     for i, each in enumerate(kind.types)])
-            return builder.select(args[0], context.cast(builder, a, one, kind), context.cast(builder, b, other, kind))
+            return builder.select(args[0], context.cast(builder, a, one, kind), context.cast(builder, b, two, kind))
 
-        return choose(sig.return_type, here, there, args[1], args[2])
+        return choose(sig.return_type, here, otherwise, args[1], args[2])
 
     mask_type = which if isinstance(which, MaskType) else types.boolean
-    return type_of(here, there)(mask_type, here, there), make
+    return type_of(here, otherwise)(mask_type, here, otherwise), make
 
 
 @intrinsic_of

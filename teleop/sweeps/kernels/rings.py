@@ -1,4 +1,4 @@
-"""What a compiled kernel keeps and reads by number: `teleop.stages.memory` in compiled code.
+"""Memory of a compiled kernel, read by number: `teleop.stages.memory` in compiled code.
 
 A ring is a flat array of rows, as many as a power of two, with a message such as its own; a row holds the numbers of
 one message, each with all of its lanes. A path or a schedule stands at an address, which goes with a number such as
@@ -76,11 +76,11 @@ class _Rows:
         self.rows = [builder.mul(builder.and_(each, last), row) for each in places]
 
     def offsets(self) -> Iterator[Any]:
-        """Where each number of a message stands in its row."""
+        """Offset of each number of a message in its row."""
         return (ir.Constant(WHOLE, i) for i in count(0, _width(self.message)))
 
     def pointer(self, i: int, offset: Any) -> Any:
-        """Where a number stands: with all of its lanes, or that of lane i by itself."""
+        """Pointer to a number: with all of its lanes, or of lane i by itself."""
         at = self.builder.add(self.rows[i], offset)
         if self.wide and not self.apart:
             return address(self.context, self.builder, self.kind, self.array, at)
@@ -95,11 +95,11 @@ class _Rows:
             offset = next(offsets)
             if not self.apart:
                 return builder.load(self.pointer(0, offset), align=8)
-            found = ir.Constant(VECTOR, ir.Undefined)
+            vector = ir.Constant(VECTOR, ir.Undefined)
             for i in range(WIDTH):
                 one = builder.load(self.pointer(i, offset), align=8)
-                found = builder.insert_element(found, one, ir.Constant(INDEX, i))
-            return found
+                vector = builder.insert_element(vector, one, ir.Constant(INDEX, i))
+            return vector
 
         return tree_value(self.context, builder, self.message, result, message, leaf)
 
@@ -112,9 +112,9 @@ class _Rows:
                 value = builder.select(here, value, builder.load(pointer, align=8))
             builder.store(value, pointer, align=8)
 
-        def leaf(own: Any, value: Any) -> Any:
+        def leaf(leaf_kind: Any, value: Any) -> Any:
             offset = next(offsets)
-            number = self.context.cast(builder, value, own, lanes if self.wide else types.float64)
+            number = self.context.cast(builder, value, leaf_kind, lanes if self.wide else types.float64)
             if not self.apart:
                 keep(self.pointer(0, offset), number, which)
                 return value
@@ -128,39 +128,39 @@ class _Rows:
 
 
 @intrinsic_of
-def put(typingctx: Any, kept: Any, k: Any, size: Any, message: Any) -> Any:  # noqa: ARG001
+def put(typingctx: Any, rows: Any, k: Any, size: Any, message: Any) -> Any:  # noqa: ARG001
     """Keep a message under the number k."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        _Rows(context, builder, (kept, args[0]), (sig.args[1], args[1]), args[2]).write(message, args[3])
+        _Rows(context, builder, (rows, args[0]), (sig.args[1], args[1]), args[2]).write(message, args[3])
         return context.get_dummy_value()
 
-    return types.none(kept, _place(k), types.int64, message), make
+    return types.none(rows, _place(k), types.int64, message), make
 
 
 @intrinsic_of
-def put_selected(typingctx: Any, which: Any, kept: Any, k: Any, size: Any, message: Any) -> Any:  # noqa: ARG001
+def put_selected(typingctx: Any, which: Any, rows: Any, k: Any, size: Any, message: Any) -> Any:  # noqa: ARG001
     """Keep a message under the number k where the mask is true."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        _Rows(context, builder, (kept, args[1]), (sig.args[2], args[2]), args[3]).write(message, args[4], args[0])
+        _Rows(context, builder, (rows, args[1]), (sig.args[2], args[2]), args[3]).write(message, args[4], args[0])
         return context.get_dummy_value()
 
     apart = isinstance(k, LanesType)
-    return types.none(mask if apart else which, kept, _place(k), types.int64, message), make
+    return types.none(mask if apart else which, rows, _place(k), types.int64, message), make
 
 
 @intrinsic_of
-def get(typingctx: Any, kept: Any, k: Any, size: Any) -> Any:  # noqa: ARG001
+def get(typingctx: Any, stored: Any, k: Any, size: Any) -> Any:  # noqa: ARG001
     """The message of number k; of each lane, where each has a place of its own."""
-    number = lanes if _has_lanes(kept.types[1]) else types.float64
-    message = tree_type(kept.types[1], lambda _: number)
+    number = lanes if _has_lanes(stored.types[1]) else types.float64
+    message = tree_type(stored.types[1], lambda _: number)
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        rows = _Rows(context, builder, (kept, args[0]), (sig.args[1], args[1]), args[2])
+        rows = _Rows(context, builder, (stored, args[0]), (sig.args[1], args[1]), args[2])
         return rows.read(message, builder.extract_value(args[0], 1))
 
-    return message(kept, _place(k), types.int64), make
+    return message(stored, _place(k), types.int64), make
 
 
 @intrinsic_of
@@ -170,11 +170,11 @@ def at(typingctx: Any, numbers: Any, k: Any) -> Any:  # noqa: ARG001
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
         kind, place = ir.DoubleType() if real else WHOLE, builder.extract_value(args[0], 0)
-        found = [builder.load(builder.gep(builder.inttoptr(each, kind.as_pointer()), [args[1]]))
+        numbers_read = [builder.load(builder.gep(builder.inttoptr(each, kind.as_pointer()), [args[1]]))
                  for each in ([builder.extract_value(place, i) for i in range(WIDTH)] if apart else [place])]
         if not apart:
-            return found[0]
-        vector = _vector(builder, kind, found)
+            return numbers_read[0]
+        vector = _vector(builder, kind, numbers_read)
         return vector if real else builder.sitofp(vector, VECTOR)
 
     return (lanes if apart else types.float64 if real else types.int64)(numbers, types.int64), make
@@ -189,7 +189,7 @@ def _vector(builder: Any, kind: Any, numbers: list[Any]) -> Any:
 
 
 @intrinsic_of
-def each(typingctx: Any, numbers: Any, t: Any) -> Any:  # noqa: ARG001
+def tile_of(typingctx: Any, numbers: Any, t: Any) -> Any:  # noqa: ARG001
     """Eight whole numbers of a flat array, from place 8 t on, as a tuple."""
 
     def make(context: Any, builder: Any, sig: Any, args: Any) -> Any:

@@ -12,7 +12,7 @@ from teleop.stages.end import Axis, End, Record, Run
 
 
 class AxisSums(Record):
-    """Of one axis of both ends."""
+    """Sums of one axis of both ends."""
 
     v_was: float  # of the master at the tick before, m/s
     f_was: float
@@ -30,13 +30,13 @@ class AxisSums(Record):
 
 
 class Rank(Record):
-    """One of the largest steps of the force so far."""
+    """Size of one of the largest steps of the force so far."""
 
     size: float
 
 
-class Turns(Record):
-    """How often the velocity of one axis of the master turns from below a band about 0 to above it."""
+class BandCrossings(Record):
+    """Crossings of a band about 0, from below to above it, by the velocity of one axis of the master."""
 
     v_was: float
     level: float  # of the band, m/s: a quarter of the greatest speed in the third of the late windows from the end
@@ -46,7 +46,7 @@ class Turns(Record):
     latest: float
 
 
-class Sums(Record):
+class FigureSums(Record):
     """The sums of these groups."""
 
     moved: float  # 1.0 once the slave has moved
@@ -71,42 +71,42 @@ class Sums(Record):
         self.axes = tuple([AxisSums(f"{i}_sums") for i in range(axes)])
         self.ranks = tuple([Rank(f"rank{i}") for i in range(ranks)])
         self.least = self.ranks[-1:]
-        self.turns = tuple([Turns(f"{i}_turns") for i in range(axes)])
+        self.turns = tuple([BandCrossings(f"{i}_turns") for i in range(axes)])
 
     def cells(self, group: str, places: Sequence[Record]) -> tuple[tuple[Record, str], ...]:
-        """Where the sums of a group are, in the order of `teleop.simulation.felt.names`; `places`: the master first."""
+        """Records and fields of a group's sums, as in `teleop.simulation.felt.names`; `places`: the master first."""
         if group == "turns":
-            return tuple([cell for place, own in zip(places, self.turns, strict=False) for cell in (
-                (place, "rise"), (place, "fall"), (own, "count"), (own, "first"), (own, "latest"))])
+            return tuple([cell for place, acc in zip(places, self.turns, strict=False) for cell in (
+                (place, "rise"), (place, "fall"), (acc, "count"), (acc, "first"), (acc, "latest"))])
         if group in AT_END:
-            return tuple([(own, f"end_{group}") for own in self.axes])
+            return tuple([(acc, f"end_{group}") for acc in self.axes])
         if group == "ranks":
-            return tuple([(own, "size") for own in self.ranks])
-        per_axis = {f"free_{one}{i}": (own, f"free_{one}")
-                    for i, own in enumerate(self.axes) for one in ("a", "v", "f")}
+            return tuple([(acc, "size") for acc in self.ranks])
+        per_axis = {f"free_{one}{i}": (acc, f"free_{one}")
+                    for i, acc in enumerate(self.axes) for one in ("a", "v", "f")}
         return tuple([per_axis.get(name, (self, name)) for name in names(group, len(self.axes), 0)])
 
-    def begin(self, run: Run, asked: Any) -> None:
+    def begin(self, run: Run, request: Any) -> None:
         """Before the first tick."""
         if "free" in self.groups or "jerk" in self.groups:
-            for own in self.axes:
-                own.v_was = own.f_was = 0.0
+            for acc in self.axes:
+                acc.v_was = acc.f_was = 0.0
         if "free" in self.groups:
             self.away = 1.0
             self.moved = self.free_n = 0.0
             self.free_aa = self.free_av = self.free_vv = 0.0
             self.free_fa = self.free_fv = self.free_ff = 0.0
-            for own in self.axes:
-                own.free_a = own.free_v = own.free_f = 0.0
+            for acc in self.axes:
+                acc.free_a = acc.free_v = acc.free_f = 0.0
         if "jerk" in self.groups:
             self.jerk_sq = 0.0
             for rank in self.ranks:
                 rank.size = 0.0
         if len(self.at_end) > 0:
-            self.late = asked[-1]
-            for own in self.axes:
+            self.late = request[-1]
+            for acc in self.axes:
                 for field in self.at_end:
-                    setattr(own, field, 0.0)
+                    setattr(acc, field, 0.0)
         if "turns" in self.groups:
             for turn in self.turns:
                 turn.v_was = turn.level = turn.armed = turn.count = 0.0
@@ -119,20 +119,20 @@ class Sums(Record):
             self.moved = 1.0 if abs(s.v) > 0.0 else self.moved
         self.free = self.away * self.moved
         if k > 0:
-            for m, own in zip(run.m.axes, self.axes, strict=True):
-                own.a = m.v - own.v_was if self.free > 0.0 else 0.0
-                own.v = 0.5 * (m.v + own.v_was) if self.free > 0.0 else 0.0
-                own.f = own.f_was if self.free > 0.0 else 0.0
-                own.free_a = own.free_a + own.a
-                own.free_v = own.free_v + own.v
-                own.free_f = own.free_f + own.f
+            for m, acc in zip(run.m.axes, self.axes, strict=True):
+                acc.a = m.v - acc.v_was if self.free > 0.0 else 0.0
+                acc.v = 0.5 * (m.v + acc.v_was) if self.free > 0.0 else 0.0
+                acc.f = acc.f_was if self.free > 0.0 else 0.0
+                acc.free_a = acc.free_a + acc.a
+                acc.free_v = acc.free_v + acc.v
+                acc.free_f = acc.free_f + acc.f
             self.free_n = self.free_n + self.free
-            self.free_aa = self.free_aa + reduce(add, [own.a * own.a for own in self.axes])
-            self.free_av = self.free_av + reduce(add, [own.a * own.v for own in self.axes])
-            self.free_vv = self.free_vv + reduce(add, [own.v * own.v for own in self.axes])
-            self.free_fa = self.free_fa + reduce(add, [own.f * own.a for own in self.axes])
-            self.free_fv = self.free_fv + reduce(add, [own.f * own.v for own in self.axes])
-            self.free_ff = self.free_ff + reduce(add, [own.f * own.f for own in self.axes])
+            self.free_aa = self.free_aa + reduce(add, [acc.a * acc.a for acc in self.axes])
+            self.free_av = self.free_av + reduce(add, [acc.a * acc.v for acc in self.axes])
+            self.free_vv = self.free_vv + reduce(add, [acc.v * acc.v for acc in self.axes])
+            self.free_fa = self.free_fa + reduce(add, [acc.f * acc.a for acc in self.axes])
+            self.free_fv = self.free_fv + reduce(add, [acc.f * acc.v for acc in self.axes])
+            self.free_ff = self.free_ff + reduce(add, [acc.f * acc.f for acc in self.axes])
 
     def smooth(self, run: Run, step: Any, k: int) -> None:
         """A step of the force against the hand, N."""
@@ -145,54 +145,54 @@ class Sums(Record):
 
     def rank(self) -> None:
         """A step in its place among the largest."""
-        for own in self.ranks:
-            self.below = own.size if self.jump > own.size else self.jump
-            own.size = self.jump if self.jump > own.size else own.size
+        for acc in self.ranks:
+            self.below = acc.size if self.jump > acc.size else self.jump
+            acc.size = self.jump if self.jump > acc.size else acc.size
             self.jump = self.below
 
     def keep(self, run: Run) -> None:
-        """What the next tick is compared with."""
-        for m, own in zip(run.m.axes, self.axes, strict=True):
-            own.v_was = m.v
-            own.f_was = m.f
+        """Keep the values that the next tick is compared with."""
+        for m, acc in zip(run.m.axes, self.axes, strict=True):
+            acc.v_was = m.v
+            acc.f_was = m.f
 
     def end(self, run: Run, k: int) -> None:
         """Forces and places of the last `END`."""
         if k >= self.late:
-            for m, own in zip(run.m.axes, self.axes, strict=True):
+            for m, acc in zip(run.m.axes, self.axes, strict=True):
                 if "f_m" in self.groups:
-                    own.end_f_m = own.end_f_m + m.f
+                    acc.end_f_m = acc.end_f_m + m.f
                 if "x_m" in self.groups:
-                    own.end_x_m = own.end_x_m + place_of_law(run.m, m)
+                    acc.end_x_m = acc.end_x_m + place_of_law(run.m, m)
             if run.has.slave:
                 self.end_slave(run)
 
     def end_slave(self, run: Run) -> None:
-        """Those of the slave."""
-        for s, own in zip(run.s.axes, self.axes, strict=True):
+        """Forces and positions of the slave at the end."""
+        for s, acc in zip(run.s.axes, self.axes, strict=True):
             if "f_env" in self.groups:
-                own.end_f_env = own.end_f_env + s.f_ext
+                acc.end_f_env = acc.end_f_env + s.f_ext
             if "x_s" in self.groups:
-                own.end_x_s = own.end_x_s + s.x
+                acc.end_x_s = acc.end_x_s + s.x
             if "touch" in self.groups:
-                own.end_touch = own.end_touch + (1.0 if abs(s.f_ext) > 0.0 else 0.0)
+                acc.end_touch = acc.end_touch + (1.0 if abs(s.f_ext) > 0.0 else 0.0)
 
     def turn(self, run: Run, k: int, start: Any, window: Any) -> None:
         """The velocities of the master in the last three of the late windows, of which the first begins at `start`."""
         if k >= start + 3 * window:
-            for a, own in zip(run.m.axes, self.turns, strict=True):
-                if a.v > own.level:
-                    if own.armed > 0.0:
-                        own.count = own.count + 1.0
-                        own.latest = k - (a.v - own.level) / (a.v - own.v_was)
-                        own.first = own.latest if own.first < 0.0 else own.first
-                    own.armed = 0.0
-                elif a.v < -own.level:
-                    own.armed = 1.0
-                own.v_was = a.v
+            for a, acc in zip(run.m.axes, self.turns, strict=True):
+                if a.v > acc.level:
+                    if acc.armed > 0.0:
+                        acc.count = acc.count + 1.0
+                        acc.latest = k - (a.v - acc.level) / (a.v - acc.v_was)
+                        acc.first = acc.latest if acc.first < 0.0 else acc.first
+                    acc.armed = 0.0
+                elif a.v < -acc.level:
+                    acc.armed = 1.0
+                acc.v_was = a.v
         elif k >= start + 2 * window:
-            for a, own in zip(run.m.axes, self.turns, strict=True):
-                own.level = 0.25 * abs(a.v) if 0.25 * abs(a.v) > own.level else own.level
+            for a, acc in zip(run.m.axes, self.turns, strict=True):
+                acc.level = 0.25 * abs(a.v) if 0.25 * abs(a.v) > acc.level else acc.level
 
 
 def place_of_law(e: End, a: Axis) -> Any:

@@ -1,4 +1,4 @@
-"""What a sweep's picture shows of a table: the knobs that vary, the panels, the scales, the colours."""
+"""Layout of a sweep's picture of a table: the knobs that vary, the panels, the scales, the colours."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class PlottedKnob:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Panel:
-    """One pair of axes: its title and its rows."""
+    """A pair of axes: its title and its rows."""
 
     title: str
     rows: NDArray[Any]
@@ -55,24 +55,24 @@ def varying(table: Table, units: Mapping[str, str]) -> tuple[list[PlottedKnob], 
     """The knobs with several values; of those that go in step, as zipped ones do, the first, and what follows it."""
     import numpy as np
 
-    found: list[PlottedKnob] = []
+    candidates: list[PlottedKnob] = []
     for name in table.knobs:
         column = table[name]
         numeric = column.dtype.kind in "fiu" and bool(np.isfinite(column).all())
         if numeric:
             values, place = np.unique(column, return_inverse=True)
-            kept: list[Any] = values.tolist()
+            ordered: list[Any] = values.tolist()
         else:
             order: dict[str, int] = {}
             place = np.array([order.setdefault(str(value), len(order)) for value in column.tolist()], dtype=np.int64)
-            kept = [*order]
-        if len(kept) > 1:
+            ordered = [*order]
+        if len(ordered) > 1:
             unit = units.get(name, "")
-            found.append(PlottedKnob(name=name, unit=unit, values=tuple(kept), place=place, numeric=numeric))
+            candidates.append(PlottedKnob(name=name, unit=unit, values=tuple(ordered), place=place, numeric=numeric))
     kept_knobs: list[PlottedKnob] = []
     notes: list[str] = []
-    for knob in found:
-        leader = next((other for other in kept_knobs if _in_step(knob, other)), None)
+    for knob in candidates:
+        leader = next((earlier for earlier in kept_knobs if _in_step(knob, earlier)), None)
         if leader is None:
             kept_knobs.append(knob)
         else:
@@ -118,9 +118,9 @@ def panels_of(table: Table, knobs: list[PlottedKnob]) -> tuple[list[Panel], str]
     import numpy as np
 
     code, keep = np.zeros(len(table), np.int64), np.ones(len(table), bool)
-    kept = thinned([len(knob.values) for knob in knobs], PANELS, [knob.numeric for knob in knobs])
+    counts = thinned([len(knob.values) for knob in knobs], PANELS, [knob.numeric for knob in knobs])
     left = []
-    for knob, count in zip(knobs, kept, strict=True):
+    for knob, count in zip(knobs, counts, strict=True):
         code = code * len(knob.values) + knob.place
         if count < len(knob.values):
             shown = spread(len(knob.values), count)
@@ -129,18 +129,18 @@ def panels_of(table: Table, knobs: list[PlottedKnob]) -> tuple[list[Panel], str]
                         f"{knob.name} {text_of(knob.values[shown[0]])} alone, of {len(knob.values)} values")
     panels = []
     for key in np.unique(code[keep]).tolist():
-        said: list[str] = []
+        words: list[str] = []
         rest = key
         for knob in reversed(knobs):
             rest, place = divmod(rest, len(knob.values))
-            said.insert(0, literal(f"{knob.name} {text_of(knob.values[place])} {knob.unit}".rstrip(), most=80))
-        narrow = sum(map(len, said)) > 30  # more would run into the next panel's
-        panels.append(Panel(title=("\n" if narrow else ", ").join(said), rows=np.flatnonzero(code == key)))
+            words.insert(0, literal(f"{knob.name} {text_of(knob.values[place])} {knob.unit}".rstrip(), most=80))
+        narrow = sum(map(len, words)) > 30  # more would run into the next panel's
+        panels.append(Panel(title=("\n" if narrow else ", ").join(words), rows=np.flatnonzero(code == key)))
     return panels, ", ".join(left)
 
 
 def thinned(counts: list[int], most: int, numeric: list[bool]) -> list[int]:
-    """How many values of each knob to show, so that their combinations are at most `most`.
+    """Choose the number of values of each knob to show, so that their combinations are at most `most`.
 
     As few knobs as possible lose any, rather numbers than texts, as few as possible are down to one, and then as many
     combinations as possible are shown.

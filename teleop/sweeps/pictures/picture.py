@@ -48,15 +48,15 @@ def _edges(axis: Any, values: tuple[Any, ...]) -> NDArray[Any]:
     """
     import numpy as np
 
-    there = axis.get_transform()
-    at = there.transform(np.array(values, dtype=float))
-    middle = there.inverted().transform((at[1:] + at[:-1]) / 2.0)
+    scale_of_axis = axis.get_transform()
+    at = scale_of_axis.transform(np.array(values, dtype=float))
+    middle = scale_of_axis.inverted().transform((at[1:] + at[:-1]) / 2.0)
     return np.concatenate([values[:1], middle, values[-1:]])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapPoints:
-    """What became of the rows at each point of a panel that has any."""
+    """Outcome of the rows at each point of a panel that has any."""
 
     x: NDArray[Any]  # (points,) the place of the value of each knob
     y: NDArray[Any]
@@ -66,7 +66,7 @@ class MapPoints:
 
 
 def map_points(table: Table, rows: NDArray[Any], x: PlottedKnob, y: PlottedKnob, metric: str | None) -> MapPoints:
-    """What became of `rows` over the knobs x and y: how they ended, and the metric, if one is asked for."""
+    """Outcome of `rows` over the knobs x and y: their status, and the metric if one is shown."""
     import numpy as np
 
     at, where = np.unique(x.place[rows] * len(y.values) + y.place[rows], return_inverse=True)
@@ -96,26 +96,26 @@ def draw_maps(
     from matplotlib.lines import Line2D
 
     x, y = knobs
-    found = [map_points(table, panel.rows, x, y, metric) for _, panel in shown]
+    maps = [map_points(table, panel.rows, x, y, metric) for _, panel in shown]
     cells = len(x.values) * len(y.values)
-    sampled = cells > CELLS or all(len(one.x) <= 2 * max(len(x.values), len(y.values)) < cells for one in found)
-    by_status = metric is None and all((one.status != "").all() for one in found)
+    sampled = cells > CELLS or all(len(one.x) <= 2 * max(len(x.values), len(y.values)) < cells for one in maps)
+    by_status = metric is None and all((one.status != "").all() for one in maps)
     norm, colours = Normalize(0.0, 1.0), LinearSegmentedColormap.from_list("share", (RED, "#F5EFE6", SKY))
     if metric is not None:
-        values = np.concatenate([one.value for one in found])
+        values = np.concatenate([one.value for one in maps])
         norm, colours = _norm(values[np.isfinite(values)]), gradient_map()
     drawn: set[str] = set()
     edged = False
-    for (axes, panel), one in zip(shown, found, strict=True):
+    for (axes, panel), one in zip(shown, maps, strict=True):
         scale(axes, "x", x.values)
         scale(axes, "y", y.values)
         known = np.isfinite(one.value)
-        said = one.status if by_status else np.select(
+        labels = one.status if by_status else np.select(
             [known, np.isnan(one.share), one.share == 0.0], ["", *WITHOUT[:2]], WITHOUT[2])
         paint = np.array(colours(norm(np.ma.masked_invalid(one.value))))
-        for word in {*said.tolist()} - {""}:
+        for word in {*labels.tolist()} - {""}:
             drawn.add(word)
-            paint[said == word] = to_rgba(STATUS.get(word, OTHER))
+            paint[labels == word] = to_rgba(STATUS.get(word, OTHER))
         edged |= _place(axes, x, y, one, paint, sampled)
         ended = float((table["status"][panel.rows] == "ok").mean())
         between = "" if not panel.title else "\n" if "\n" in panel.title else ": "
@@ -149,19 +149,19 @@ def _norm(values: NDArray[Any]) -> Any:
     return (LogNorm if scaled == "log" else Normalize)(low, high)
 
 
-def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, found: MapPoints, paint: NDArray[Any], sampled: bool) -> bool:
+def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, points: MapPoints, paint: NDArray[Any], sampled: bool) -> bool:
     """Colour the points: cells of a grid, with the boundary between them, or dots; True if there is a boundary."""
     import numpy as np
     from matplotlib.collections import LineCollection
 
     if sampled:
-        axes.scatter(np.array(x.values)[found.x], np.array(y.values)[found.y], s=22.0, c=paint,
+        axes.scatter(np.array(x.values)[points.x], np.array(y.values)[points.y], s=22.0, c=paint,
                      edgecolors=BLACK, linewidths=0.3)
         return False
     across, up = _edges(axes.xaxis, x.values), _edges(axes.yaxis, y.values)
     picture, good = np.ones((len(y.values), len(x.values), 4)), np.full((len(y.values), len(x.values)), np.nan)
-    picture[found.y, found.x] = paint
-    good[found.y, found.x] = np.where(np.isfinite(found.share), found.share >= 0.5, np.nan)
+    picture[points.y, points.x] = paint
+    good[points.y, points.x] = np.where(np.isfinite(points.share), points.share >= 0.5, np.nan)
     axes.pcolormesh(across, up, picture, shading="flat", rasterized=picture.size > 4 * VECTOR_CELLS)
     axes.set_xlim(across[0], across[-1])
     axes.set_ylim(up[0], up[-1])
@@ -223,8 +223,8 @@ def draw(
             axes.set_xlabel(axes_knobs[0].label)
             axes.tick_params(axis="x", labelbottom=True)
     ended = ", ".join(f"{count} {status}" for status, count in table.counts().items())
-    told = (title, f"{number_of(len(table), 'row')}: {ended}", *notes, note, left)
-    figure.suptitle(literal(" · ".join(part for part in told if part)), fontsize=11)
+    heading = (title, f"{number_of(len(table), 'row')}: {ended}", *notes, note, left)
+    figure.suptitle(literal(" · ".join(part for part in heading if part)), fontsize=11)
     return save(figure, path, formats)
 
 

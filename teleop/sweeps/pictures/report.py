@@ -1,4 +1,4 @@
-"""What is told of a sweep's folder: its summary over all the calls that ran rows, its refusals, its picture."""
+"""Report of a sweep's folder: its summary over all the calls that ran rows, its refusals, its picture."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PictureRequest(NamedTuple):
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
-    """What summary.json of a sweep's folder holds; nothing if there is none that can be read."""
+    """Content of summary.json of a sweep's folder; empty if there is none that can be read."""
     try:
         got: dict[str, Any] = parse(read_bytes(folder / SUMMARY, links=False))
         _SHAPE(got, SUMMARY)
@@ -48,22 +48,22 @@ def summary_of(folder: Path) -> dict[str, Any]:
     return got
 
 
-def joined(told: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
+def joined(summary: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
     """A call's summary after that of earlier calls: `runs` has an entry for each that ran rows, the last also on top.
 
     A call that found every row there changes nothing of how they were made.
     """
     runs: list[dict[str, Any]] = before["runs"] if isinstance(before.get("runs"), list) else []
-    if told["ran"]:
-        runs = [*runs, {key: told[key] for key in OF_A_CALL if key in told}]
-    last = runs[-1] if runs and not told["ran"] else {}
-    return {**told, **{key: last[key] for key in OF_A_CALL if key in last}, "runs": runs}
+    if summary["ran"]:
+        runs = [*runs, {key: summary[key] for key in OF_A_CALL if key in summary}]
+    last = runs[-1] if runs and not summary["ran"] else {}
+    return {**summary, **{key: last[key] for key in OF_A_CALL if key in last}, "runs": runs}
 
 
-def write(told: Mapping[str, Any], folder: Path) -> None:
+def write(summary: Mapping[str, Any], folder: Path) -> None:
     """Write summary.json, whole or not at all. Raises `Refused` if that cannot be."""
     try:
-        write_document(folder / SUMMARY, told)
+        write_document(folder / SUMMARY, summary)
     except OSError as error:
         raise Refused(f"cannot write to {folder} ({error.strerror or error}); the rows are kept, and the same "
                       "command goes on") from error
@@ -73,13 +73,13 @@ def sentences(table: Table) -> dict[str, int]:
     """Why rows were refused, and how many for each reason; the most frequent first."""
     import numpy as np
 
-    said = table["sentence"][table["status"] == "refused"]
-    texts, counts = np.unique([str(text) for text in said.tolist() if text is not None], return_counts=True)
+    refusals = table["sentence"][table["status"] == "refused"]
+    texts, counts = np.unique([str(text) for text in refusals.tolist() if text is not None], return_counts=True)
     return dict(sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda pair: -pair[1]))
 
 
 def status_rows(table: Table) -> list[tuple[str, str]]:
-    """How many rows ended how, and why some were refused."""
+    """Rows of the report: the number of rows for each status, and the reasons of those refused."""
     counts = ", ".join(f"{grouped(count)} {status}" for status, count in table.counts().items())
     rows = [("status", f"{grouped(len(table))} done: {counts or 'none'}")]
     every = [*sentences(table).items()]
@@ -94,7 +94,7 @@ def status_rows(table: Table) -> list[tuple[str, str]]:
 
 
 def sentence_of(table: Table, rows: int | None) -> str:
-    """How many of a sweep's rows are done, and how they ended."""
+    """Sentence with the number of rows done, and for each status."""
     counts = ", ".join(f"{grouped(count)} {status}" for status, count in table.counts().items())
     of = "" if rows is None else f" of {grouped(rows)}"
     return f"{grouped(len(table))}{of} rows done: {counts or 'none'}"
@@ -106,7 +106,7 @@ def report_of(folder: Path, rows: int) -> str:
 
 
 def told_of(folder: Path, shown: int | None = None) -> tuple[dict[str, Any], str, Table]:
-    """What a sweep's folder holds: as JSON can hold it, as text, and its rows. It may still be growing.
+    """Content of a sweep's folder: as JSON can hold it, as text, and its rows. It may still be growing.
 
     `shown`: the rows that the text has; left out, the first few.
     """
@@ -114,20 +114,21 @@ def told_of(folder: Path, shown: int | None = None) -> tuple[dict[str, Any], str
 
     store = Store.look(folder)
     table = store.table()
-    told = {**summary_of(folder), **store.definition, "done": len(table), "counts": table.counts(), "path": str(folder)}
-    if "scene" not in told:
+    content = {**summary_of(folder), **store.definition, "done": len(table), "counts": table.counts(),
+               "path": str(folder)}
+    if "scene" not in content:
         raise Refused(f"{folder} holds a sweep of no scene; give the folder that `teleop sweep` printed")
-    rows = f"{grouped(told['rows'])} {plural(told['rows'], 'row')}" if "rows" in told else "rows"
-    said = [("sweep", f"{told['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}"), *status_rows(table)]
-    if "engine" in told:
-        said.append(("engine", f"{told['engine']}: {told.get('why')}"))
-    calls = len(told.get("runs", ()))
-    said += [("", f"{calls} calls ran rows; {SUMMARY} has each")] if calls > 1 else []
-    told["sentence"] = sentence_of(table, told.get("rows"))
-    return told, f"{facts(said)}\n{table.text(shown, all_by=report_of(folder, len(table)))}", table
+    rows = f"{grouped(content['rows'])} {plural(content['rows'], 'row')}" if "rows" in content else "rows"
+    lines = [("sweep", f"{content['scene']}, {rows} of {', '.join(table.knobs) or 'seeds'}"), *status_rows(table)]
+    if "engine" in content:
+        lines.append(("engine", f"{content['engine']}: {content.get('why')}"))
+    calls = len(content.get("runs", ()))
+    lines += [("", f"{calls} calls ran rows; {SUMMARY} has each")] if calls > 1 else []
+    content["sentence"] = sentence_of(table, content.get("rows"))
+    return content, f"{facts(lines)}\n{table.text(shown, all_by=report_of(folder, len(table)))}", table
 
 
-def picture(table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest,
+def picture(table: Table, folder: Path, content: Mapping[str, Any], request: PictureRequest,
             formats: Sequence[str] = PNG, *, trust: bool) -> list[Path]:
     """Draw a sweep into its folder, as sweep.png or in other `formats`; the files. Raises `Refused` if that cannot be.
 
@@ -135,16 +136,16 @@ def picture(table: Table, folder: Path, told: Mapping[str, Any], request: Pictur
     """
     from teleop.sweeps.pictures.picture import draw
 
-    name = str(told["scene"])
-    units = knob_units(told, table, trust=trust)
+    name = str(content["scene"])
+    units = knob_units(content, table, trust=trust)
     return draw(table, folder / "sweep", request.kind, metric=request.metric, title=Path(name).stem,
-                units=units, words=words_of(told, units),
+                units=units, words=words_of(content, units),
                 formats=formats)
 
 
-def words_of(told: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:
-    """What a legend says of a status, with the bounds that all rows had; `units` as `knob_units` gives them."""
-    limits, unit = told.get("limits") or {}, units.get("x_limit", "m")
+def words_of(content: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:
+    """Words of a legend for each status, with the bounds that all rows had; `units` as `knob_units` gives them."""
+    limits, unit = content.get("limits") or {}, units.get("x_limit", "m")
     words = {}
     if "x_limit" in limits:
         words["diverged"] = f"diverged: beyond x_limit = {limits['x_limit']:g} {unit}"
@@ -154,14 +155,14 @@ def words_of(told: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str
     return words
 
 
-def knob_units(told: Mapping[str, Any], table: Table, *, trust: bool) -> dict[str, str]:
+def knob_units(content: Mapping[str, Any], table: Table, *, trust: bool) -> dict[str, str]:
     """The units of knobs and metrics of a sweep; of the scene of a user's own, whose file is run for it, only with
     `trust`. A metric over axes in m and in rad has none."""
     from teleop.scene.axes import labels_of
     from teleop.scene.library import known_scenes, load_scene
     from teleop.simulation.metrics import UNITS
 
-    name = str(told["scene"])
+    name = str(content["scene"])
     if not trust and name not in known_scenes():
         return {}
     try:
@@ -172,26 +173,28 @@ def knob_units(told: Mapping[str, Any], table: Table, *, trust: bool) -> dict[st
     return {**metrics, **units_of(name, table.knobs), "x_limit": labels.unit("m") or "m or rad"}
 
 
-def with_picture(answer: Answer, table: Table, folder: Path, told: Mapping[str, Any], request: PictureRequest,
+def with_picture(answer: Answer, table: Table, folder: Path, content: Mapping[str, Any], request: PictureRequest,
                  formats: Sequence[str]) -> Answer:
     """Draw a sweep that was just run, and name the files; that it cannot be is no error, for its rows are there."""
     if not len(table):
         return answer.without_plot("no row is there yet")
     try:
-        return answer.with_plots(folder, picture(table, folder, told, request, formats, trust=True))
+        return answer.with_plots(folder, picture(table, folder, content, request, formats, trust=True))
     except Refused as refused:
         return answer.without_plot(refused)
 
 
 def report(folder: Path, request: PictureRequest, formats: Sequence[str] = (), *, trust: bool = False,
            rows: int | None = None) -> Answer:
-    """What `teleop report` says of a sweep, which is drawn in `formats`; none: not at all. `trust`: see `picture`.
+    """Answer of `teleop report` for a sweep, which is drawn in `formats`; none: not at all. `trust`: see `picture`.
 
     `rows`: how many it shows; left out, the first few. Raises `Refused` if it cannot be drawn.
     """
-    told, text, table = told_of(folder, rows)
-    answer = Answer(text, told)
-    return answer.with_plots(folder, picture(table, folder, told, request, formats, trust=trust)) if formats else answer
+    content, text, table = told_of(folder, rows)
+    answer = Answer(text, content)
+    if not formats:
+        return answer
+    return answer.with_plots(folder, picture(table, folder, content, request, formats, trust=trust))
 
 
 def check_run(at: Path, request: PictureRequest) -> None:
@@ -208,5 +211,5 @@ def check_run(at: Path, request: PictureRequest) -> None:
 
 
 def limits_of(first: Scene, turned: Collection[str]) -> dict[str, float]:
-    """What every row of a sweep runs for (s) and may not pass (m), as its first row has it; without what is turned."""
+    """Duration (s) and position limit (m) of every row of a sweep, as the first has them; without knobs of the grid."""
     return {key: getattr(first, key) for key in ("duration", "x_limit") if key not in turned}

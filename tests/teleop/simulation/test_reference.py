@@ -21,8 +21,8 @@ from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.kernels import figures as running
 from teleop.sweeps.kernels.kernel import (
-    Inputs,
     LinkSchedule,
+    RowInputs,
     available,
     functions_of_kernel,
     kernel_lines,
@@ -95,7 +95,8 @@ def test_lines_for_eight_scenes_run_in_plain_python_and_give_the_bits_of_each(le
     first = scenes[0]
     ready = [prepare(scene) for scene in scenes]
     measures = tuple(sorted(available(first)))
-    rows = [Inputs(tree_of(scene, own.bodies, compiled=False), None, scene.ticks, LinkSchedule.of(link_plans(scene, 0)),
+    rows = [RowInputs(tree_of(scene, own.bodies, compiled=False), None, scene.ticks,
+                      LinkSchedule.of(link_plans(scene, 0)),
                    own.reference, None, frame_of(scene)) for scene, own in zip(scenes, ready, strict=True)]
     lags = [row.schedule.lags for row in rows]
     alone = plain_kernel(first, ready[0].bodies, measures).run(rows, lags)

@@ -27,7 +27,7 @@ from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import kernel_of
-from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, figures, path_of, tree_of
+from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, figures, path_of, tree_of
 from tests.teleop.stages.tumbling import apart, counted, orientations, tumbling
 
 ROUGH = parse_link("delay(0.01) | uniform(0.02) | bernoulli(0.1)")
@@ -169,7 +169,7 @@ def test_every_engine_gives_the_bits_of_a_single_run(engine: str) -> None:
     prepared = prepare(scene)
     kernel, flat = kernel_of(prepared, measures, engine)
     assert kernel.engine == engine
-    row = Inputs(tree_of(scene, prepared.bodies, compiled=False) if engine == "plain" else None, flat, scene.ticks,
+    row = RowInputs(tree_of(scene, prepared.bodies, compiled=False) if engine == "plain" else None, flat, scene.ticks,
                  LinkSchedule.of(link_plans(scene, 0)), path_of(scene, compiled=engine != "plain"))
     (_, _, got), = figures(kernel, [row])
     assert got == {name: one.metrics[name] for name in measures}

@@ -23,7 +23,7 @@ from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run
 from teleop.stages.scaling import Scaling
-from teleop.sweeps.kernels.kernel import Inputs, LinkSchedule, available, figures, plain_kernel, tree_of
+from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, available, figures, plain_kernel, tree_of
 
 SMALL = Scaling(scale_x=0.2, scale_f=0.5)  # a slave a fifth of the size, with half of the force
 
@@ -93,7 +93,7 @@ def test_tracking_compares_the_ends_in_the_masters_units_in_runs_and_in_kernels_
     result, ready = run(of), prepare(of)
     water = LinkSchedule.of(link_plans(of, 0))
     kernel = plain_kernel(of, exact_bodies(of), sorted(available(of)))
-    row = Inputs(tree_of(of, exact_bodies(of), compiled=False), None, of.ticks, water, ready.reference)
+    row = RowInputs(tree_of(of, exact_bodies(of), compiled=False), None, of.ticks, water, ready.reference)
     (status, _, told), = figures(kernel, [row])
     assert status == "ok"
     assert told == {name: result.metrics[name] for name in told}
@@ -134,7 +134,7 @@ def test_each_axis_has_scales_of_its_own_and_is_the_scene_of_that_axis() -> None
         np.linalg.norm(slave[1:] - master[:-1], axis=1).max(), rel=1e-9)
     kernel = plain_kernel(of, exact_bodies(of), sorted(available(of)))
     water, ready = LinkSchedule.of(link_plans(of, 0)), prepare(of)
-    row = Inputs(tree_of(of, exact_bodies(of), compiled=False), None, of.ticks, water, ready.reference)
+    row = RowInputs(tree_of(of, exact_bodies(of), compiled=False), None, of.ticks, water, ready.reference)
     (_, _, told), = figures(kernel, [row])
     assert told == {name: got.metrics[name] for name in told}
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from channel.link import parse_link
 from teleop import Refused, load_scene
 from teleop.laws.wave import Wave
-from teleop.sweeps.grid import Grid, Range, grid, plain, sampled
+from teleop.sweeps.grid import Grid, Range, grid, json_value, sampled
 
 NAMES = ("delay", "k_e", "d_e", "law", "law.b", "link")
 numbers = st.one_of(st.integers(-(10**6), 10**6), st.floats(allow_nan=False, allow_infinity=False))
@@ -204,7 +204,7 @@ class TestDefinition:
             b: float = 1.0
 
         assert " at 0x" not in json.dumps(grid({"law": [Mine()]}).definition())
-        assert plain(Mine()) == repr(Mine())
+        assert json_value(Mine()) == repr(Mine())
 
 
 class TestRange:

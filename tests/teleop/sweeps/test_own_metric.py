@@ -16,7 +16,7 @@ import pytest
 from teleop import Refused, Result, load_scene, run, sweep
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps import engine as engines
-from teleop.sweeps.chunk import MetricMistake, Raised, SentMistake, asked
+from teleop.sweeps.chunk import MetricMistake, Raised, SentMistake, evaluate_metric
 
 FIXED = {"duration": 0.1}
 STIFFNESS = {"k_e": [50.0, 100.0, 150.0]}
@@ -98,11 +98,11 @@ class TestOneThatReturnsNoNumber:
 
         words = rf"metric odd {HERE} returned .*no number .*in row 4 \(law=wave, k_e=50"
         with pytest.raises(MetricMistake, match=words):
-            asked(odd, run(load_scene("soft_tissue", **FIXED)), ROW)
+            evaluate_metric(odd, run(load_scene("soft_tissue", **FIXED)), ROW)
 
     @pytest.mark.parametrize("value", [2, np.float32(2.0), np.int64(2), np.array(2.0), 2.0])
     def test_takes_numbers_of_any_kind(self, value: Any) -> None:
-        assert asked(lambda _: value, run(load_scene("soft_tissue", **FIXED)), ROW) == 2.0
+        assert evaluate_metric(lambda _: value, run(load_scene("soft_tissue", **FIXED)), ROW) == 2.0
 
     def test_says_by_nan_that_a_row_has_none(self) -> None:
         def none(result: Result) -> float:

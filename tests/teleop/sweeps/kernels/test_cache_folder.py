@@ -111,7 +111,7 @@ class TestAFolder:
 
 
 def test_that_kernels_are_not_kept_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept, "_told", set())
+    monkeypatch.setattr(kept, "_warned", set())
     with pytest.warns(KernelsNotKept, match="each process compiles its own: because"):
         tell_once("because")
     with warnings.catch_warnings(record=True) as told:

@@ -31,9 +31,9 @@ from teleop.sweeps.kernels import compiled
 from teleop.sweeps.kernels.compiled import NotCompiled, module_text
 from teleop.sweeps.kernels.engines import SCALAR, scalar_kernel
 from teleop.sweeps.kernels.kernel import (
-    Inputs,
     Kernel,
     LinkSchedule,
+    RowInputs,
     available,
     figures,
     kernel_lines,
@@ -58,13 +58,13 @@ def row(kernel: Kernel, of: Scene, seed: int) -> tuple[str, int, dict[str, float
     return figures(kernel, [inputs(kernel, of, seed)])[0]
 
 
-def inputs(kernel: Kernel, of: Scene, seed: int) -> Inputs:
+def inputs(kernel: Kernel, of: Scene, seed: int) -> RowInputs:
     """What the kernel is given for a row."""
     schedule, bodies, path = LinkSchedule.of(link_plans(of, seed)), exact_bodies(of), reference_samples(of)
     if kernel.engine == "plain":
-        return Inputs(tree_of(of, bodies, compiled=False), None, of.ticks, schedule, path)
+        return RowInputs(tree_of(of, bodies, compiled=False), None, of.ticks, schedule, path)
     arrays = tuple(np.asarray(axis) for axis in path or ())
-    return Inputs(None, leaves(tree_of(of, bodies)), of.ticks, schedule, arrays)
+    return RowInputs(None, leaves(tree_of(of, bodies)), of.ticks, schedule, arrays)
 
 
 def assert_as_a_run(kernel: Kernel, of: Scene, seed: int = 3) -> None:
