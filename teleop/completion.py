@@ -92,11 +92,11 @@ def several_of(words: Callable[[], Words]) -> Callable[..., Words]:
 def knobs(parsed_args: Namespace, **_: Any) -> dict[str, Declared]:
     """The knobs of the scene that was typed, of its law, and those of every scene."""
     scene = getattr(parsed_args, "scene", None) or ""
-    found = dict(_knobs_of("scene", scene))
+    of_scene = dict(_knobs_of("scene", scene))
     typed = [text.partition("=")[2] for text in getattr(parsed_args, "set", None) or () if text.startswith("law=")]
-    law = typed[-1] if typed else _law_name(found["law"].default) if "law" in found else ""
+    law = typed[-1] if typed else _law_name(of_scene["law"].default) if "law" in of_scene else ""
     of_law = {f"law.{name}": one for name, one in _knobs_of("law", law).items()}
-    return {**found, **COMMON, **of_law}
+    return {**of_scene, **COMMON, **of_law}
 
 
 def settings(prefix: str, parsed_args: Namespace, **_: Any) -> Words:
@@ -142,7 +142,7 @@ def runs(prefix: str, **_: Any) -> Words:
     return dict.fromkeys(fitting or DirectoriesCompleter()(prefix), "")
 
 
-def _known(kind: str) -> Callable[[], Words]:
+def _names_of(kind: str) -> Callable[[], Words]:
     return lambda: names()[kind]
 
 
@@ -192,10 +192,10 @@ def _publications() -> Words:
 
 
 COMPLETERS: dict[str, Callable[..., Words]] = {
-    "SCENE": scenes, "LAW": one_of(_known("laws")), "NAME=VALUE": settings, "KNOB=VALUES": settings,
+    "SCENE": scenes, "LAW": one_of(_names_of("laws")), "NAME=VALUE": settings, "KNOB=VALUES": settings,
     "KNOB": knob_names, "FILE": files, "DIR": runs, "FOLDER": runs, "RUN": runs, "SLAVE": runs,
     "METHOD:N": one_of(_methods), "FORMATS": several_of(lambda: dict.fromkeys(FORMATS, "")),
-    "--laws": several_of(_known("laws")), "--metrics": several_of(_metrics), "--metric": several_of(_metrics),
+    "--laws": several_of(_names_of("laws")), "--metrics": several_of(_metrics), "--metric": several_of(_metrics),
     "--playouts": several_of(_playouts),
     "--engine": one_of(lambda: ENGINES), "--objective": one_of(_objectives), "--picture": one_of(_pictures),
     "list NAME": one_of(_everything), "--device": one_of(_devices("m")), "--robot": one_of(_devices("s")),
