@@ -31,7 +31,7 @@ except ModuleNotFoundError as error:
 from teleop.errors import DeviceError, Refused
 from teleop.live.devices.device_watchdog import DeviceWatchdog
 from teleop.live.orders import SHARE, intake
-from teleop.physics.rotation_axes import RotationAxes
+from teleop.physics.rotation import RotationAxes
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
 

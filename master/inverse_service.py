@@ -23,8 +23,7 @@ from websockets.protocol import State as Connection
 from websockets.uri import parse_uri
 
 from teleop.errors import DeviceError
-from teleop.physics.rotation import Quaternion
-from teleop.physics.rotation_axes import unit_quaternion
+from teleop.physics.rotation import Quaternion, unit_quaternion
 
 Vector = tuple[float, float, float]
 WORDS = ("vector", "values")  # of a force, in 3.5 and in 3.1

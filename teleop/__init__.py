@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from teleop.physics.implicit import Resistance
     from teleop.physics.plant import MassDamper, Plant
     from teleop.physics.relaxing import ElectricalDamping
-    from teleop.physics.rotation_axes import RotationAxes
+    from teleop.physics.rotation import RotationAxes
     from teleop.protocol.endpoint import Reading
     from teleop.scene.axes import each_axis
     from teleop.scene.library import load_scene
@@ -120,7 +120,7 @@ _HOMES = {  # the module of each name, under this package
     "physics.implicit": ("Resistance",),
     "physics.plant": ("MassDamper", "Plant"),
     "physics.relaxing": ("ElectricalDamping",),
-    "physics.rotation_axes": ("RotationAxes",),
+    "physics.rotation": ("RotationAxes",),
     "protocol.endpoint": ("Reading",),
     "scene.axes": ("each_axis",),
     "scene.library": ("load_scene",),
