@@ -44,6 +44,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.plan import Plan
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import NAMES, SENSED, columns, numbers_of, structure_of
+from teleop.simulation.tick import LiveTick
 from teleop.stages.wave_integral import Integrals
 
 Axes = tuple[float, ...]
@@ -269,12 +270,13 @@ class Endpoint:
             self.held.zero(k)
         seq, rx, waves = (-1, None, None) if got is None else (got[0], got[1].rx, got[1].waves)
         x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
-        own, newest = k // self.every, seq if self.every == 1 else seq / self.every
-        held = self.held.force, self.held.since(k)
+        newest = seq if self.every == 1 else seq / self.every
         if waves is not None and self._rejoined:
             waves = self._since(waves)
-        inputs = (own, x, reading.v, reading.f, got is not None, newest, rx, waves, gain, *held,
-                  1.0 if reading.clutch else 0.0, 1.0 if reading.present or reading.present is None else 0.0)
+        inputs = LiveTick(
+            k // self.every, x, reading.v, reading.f, got is not None, newest, rx, waves, gain, self.held.force,
+            self.held.since(k), 1.0 if reading.clutch else 0.0,
+            1.0 if reading.present or reading.present is None else 0.0)
         force, tx, sent, row = self._started.send(inputs)
         if got is not None and self._E_out is not None and got[1].E_in is not None:
             margin = got[1].E_in - row[self._E_out]

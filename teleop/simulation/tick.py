@@ -15,7 +15,7 @@ from collections.abc import Generator
 from functools import reduce
 from math import inf, nan
 from operator import add
-from typing import Any
+from typing import Any, NamedTuple
 
 from teleop.law import At, start_at
 from teleop.simulation.messages import connect, deliver, exchange, send
@@ -278,11 +278,29 @@ def move_slave(run: Run) -> None:
 # One end by itself
 
 
+class LiveTick(NamedTuple):
+    """Inputs of a live end at one tick; what stands per axis is a tuple. SI units."""
+
+    k: int  # number of the tick, of this end
+    x: Any  # the device's readings
+    v: Any
+    touch: Any  # the external force, or None
+    got: bool  # there is a message to play
+    newest: float  # number of the newest message, -1 before the first
+    rx: Any  # the message
+    heard: Any  # the integrals of the waves that came with it, or None
+    gain: float  # of the guard
+    held: Any  # the force that was held since the last tick
+    since: int  # ticks since that force was set
+    clutch: float  # 1.0 while the operator holds the clutch open, else 0.0
+    present: float  # 1.0 while the operator is there, else 0.0
+
+
 def live(
         run: Run, e: End, numbers: Any, law: Any, dt: float, x0: Any, v0: Any, touch0: Any
 ) -> Generator[Any, Any, None]:
-    """A live end: a generator that is sent what the end has at a tick, and answers with force, message, what its waves
-    have come to where that is sent along, and row."""
+    """A live end: a generator that is sent a `LiveTick`, and answers with force, message, the integrals of its waves
+    where they are sent along, and row."""
     run.law = law
     run.dt = dt
     run.half_dt = 0.5 * dt

@@ -29,6 +29,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.prepared import prepare
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import SENSED, columns, numbers_of, structure_of
+from teleop.simulation.tick import LiveTick
 from teleop.simulation.trace import EndRecord, blocks, end_columns
 from teleop.stages.wave_integral import Integrals
 
@@ -157,7 +158,7 @@ class Rerun:
         else:
             played = heard(inputs, begins)
             got, newest, rx, waves = (False, -1, None, None) if played is None else (True, *played)
-        force, tx, sent, row = self._started.send((
+        force, tx, sent, row = self._started.send(LiveTick(
             inputs.k // self._every, inputs.x, inputs.v, touch, got, newest, rx, waves, inputs.gain, inputs.f_held,
             inputs.since, *inputs.switches))
         if inputs.origin is not None:
