@@ -27,7 +27,7 @@ from teleop.live.orders import OF_THE_RELAY, Orders, orders_option, refuse, tell
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.ticker import Timer
-from teleop.scene.library import live_knobs, load_scene
+from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.terminal.options import Parser, guarded, knobs_from, realtime_option, scene_options
 

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from teleop.physics.rotation import RotationAxes
     from teleop.protocol.endpoint import Reading
     from teleop.scene.axes import each_axis
-    from teleop.scene.library import load_scene
+    from teleop.scene.loading import load_scene
     from teleop.scene.parts import Environment, Hand, Reference, Vector
     from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
     from teleop.scene.scene import Scene
@@ -123,7 +123,7 @@ _HOMES = {  # the module of each name, under this package
     "physics.rotation": ("RotationAxes",),
     "protocol.endpoint": ("Reading",),
     "scene.axes": ("each_axis",),
-    "scene.library": ("load_scene",),
+    "scene.loading": ("load_scene",),
     "scene.parts": ("Environment", "Hand", "Reference", "Vector"),
     "scene.playout": ("Energy", "Fixed", "Hold", "Integral", "Playout", "Scaled", "Zero"),
     "scene.scene": ("Scene",),

@@ -38,7 +38,8 @@ from teleop.live.shell import Shell
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
 
 TICKS = 5000

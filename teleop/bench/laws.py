@@ -19,7 +19,7 @@ from importlib import import_module
 from typing import Any
 
 from teleop.law import find_law, known_laws, messages
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies, reference_samples
 from teleop.simulation.plan import link_plans

@@ -29,7 +29,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from teleop.bench.laws import kernel_of
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.sweeps.grid import grid
 from teleop.sweeps.runner import sweep as run_sweep

@@ -150,7 +150,7 @@ def relays(c: str, folder: Path, rounds: int) -> list[Row]:
 def datagrams(folder: Path, count: int) -> None:
     """The packets that the two ends of a session send, in the form that the load reads: `fwd` and `bwd`."""
     from teleop.protocol.packet import Kind, Packet, encode
-    from teleop.scene.library import load_scene
+    from teleop.scene.loading import load_scene
     from teleop.scene.scene import both_ends
 
     scene = both_ends(load_scene(SCENE, link=f"delay({DELAY})"))

@@ -23,7 +23,8 @@ from typing import Any
 
 from teleop.live.devices.opening import find_device
 from teleop.live.in_process import run_stepped
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 

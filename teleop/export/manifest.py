@@ -22,7 +22,7 @@ from teleop.law import messages
 from teleop.protocol.manifest import live_manifest
 from teleop.protocol.packet import VERSION, Echo, Kind, Layout, Packet, encode
 from teleop.protocol.session import Session
-from teleop.scene.library import live_knobs, load_scene
+from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.structure import structure_of
 from teleop.stages.watchdog import Watchdog

@@ -23,7 +23,7 @@ from teleop.live.records.merge import merge
 from teleop.live.records.reader import read_noted
 from teleop.live.records.record import fresh_folder
 from teleop.live.shell import TRACEBACK
-from teleop.scene.library import live_knobs, load_scene
+from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.result import Result
 from teleop.terminal.answer import Answer

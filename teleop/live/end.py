@@ -34,7 +34,7 @@ from teleop.protocol.guard import Event
 from teleop.protocol.manifest import live_manifest, manifest_of
 from teleop.protocol.session import Session
 from teleop.scene.catalogue import KINDS
-from teleop.scene.library import asks_for_trust, live_knobs, load_scene
+from teleop.scene.loading import asks_for_trust, live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.result import Result
 from teleop.terminal import screen

@@ -3,5 +3,5 @@
     from teleop.scene import Scene, load_scene
 """
 
-from teleop.scene.library import load_scene as load_scene
+from teleop.scene.loading import load_scene as load_scene
 from teleop.scene.scene import Scene as Scene

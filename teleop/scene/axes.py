@@ -12,14 +12,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused, WrongCount, enumerated, number_of
 from teleop.storage.strict_json import Check, list_of, one_of, text
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
-
 
 MOST_AXES = 16
 PER_AXIS = ("law", "master", "slave", "hand", "environment", "cap", "device_m", "device_s", "scaling")
@@ -156,7 +152,7 @@ class AxisLabels(NamedTuple):
         return {key: list(labels) for key, labels in zip(SHAPES, self, strict=True) if labels}
 
 
-def labels_of(scene: Scene) -> AxisLabels:
+def labels_of(scene: Any) -> AxisLabels:
     """The labels that a scene gives its axes."""
     return AxisLabels(scene.names, scene.axis_units if scene.rotations else scene.units)
 

@@ -28,7 +28,8 @@ from teleop.analysis.stability.assess import stability
 from teleop.errors import Refused
 from teleop.physics.plant import MassDamper, Plant, spring_damper
 from teleop.scene.knobs import knobs_of
-from teleop.scene.library import import_bundled, load_scene, scene_function
+from teleop.scene.library import import_bundled, scene_function
+from teleop.scene.loading import load_scene
 from teleop.scene.playout import Integral, Scaled, Zero, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import link_plans, median_age

@@ -14,7 +14,8 @@ from re import fullmatch
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused, number, number_of, whole_number
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import versions
 from teleop.storage.toml_tables import check_keys, is_tables, knobs_in, read_toml, repeated, text_of
 from teleop.sweeps.runner import plan_sweep, sweep

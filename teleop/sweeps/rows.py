@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.law import functions_of
-from teleop.scene.library import OwnFile, SceneMaker, own_file, scene_function
+from teleop.scene.library import OwnFile, own_file, scene_function
+from teleop.scene.loading import SceneMaker
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
 from teleop.simulation.felt import AT_REST, OF_SLAVE, Frame, frame_of

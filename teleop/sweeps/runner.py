@@ -17,7 +17,8 @@ from typing import Any
 from teleop.errors import Refused, nearest
 from teleop.law import is_built_in
 from teleop.scene.knobs import check_text, knobs_of, read_link
-from teleop.scene.library import OwnFile, load_scene, own_file, scene_function
+from teleop.scene.library import OwnFile, own_file, scene_function
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.sweeps.chunk import ChunkResult, Job, work

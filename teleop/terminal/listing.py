@@ -17,7 +17,8 @@ from teleop.law import BUILT_IN, find_law, known_laws, messages
 from teleop.law.offers import CONDITIONS, claims_of, seed_energy, stores
 from teleop.scene.catalogue import KINDS, Named, UnknownName, device_line, find, known_devices, names
 from teleop.scene.knobs import COMMON
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from teleop.scene.playout import Playout
 from teleop.simulation.notes import unmet
 from teleop.terminal.answer import Answer

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, number_of
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING, Result, law_with_gains
 from teleop.simulation.source import rendered
 from teleop.simulation.virtual import run

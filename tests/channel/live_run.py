@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.live.records.record import RecordWriter
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.structure import columns
 
 MS = 1_000_000

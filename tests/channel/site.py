@@ -11,7 +11,7 @@ from channel.router import Router
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, encode
 from teleop.protocol.secure.dtls_record import cookie_record, is_cookie_record, records
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from tests.channel.no_wire import NoWire
 
 MS = 1_000_000

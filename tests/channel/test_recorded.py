@@ -14,7 +14,7 @@ from channel.link import describe, parse_link
 from channel.recorded import Recorded
 from teleop.analysis.models.linear import refuse_nonlinear_parts
 from teleop.errors import Refused
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.plan import link_plans
 from teleop.simulation.virtual import run
 from teleop.sweeps.runner import sweep

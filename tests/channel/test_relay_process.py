@@ -18,7 +18,8 @@ import pytest
 from channel.link import parse_link
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, Packet, encode
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.live

@@ -10,7 +10,7 @@ from channel.relay import MOST_FLOWS, QUIET_NS, UNMET_MOST, UNMET_NS
 from channel.router import EACH_MOST
 from teleop.protocol.packet import Kind
 from teleop.protocol.secure.dtls_record import MTU
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from tests.channel.site import MASTER, MS, OTHER_HOME, SLAVE, UNKNOWN, Site, hello, request, sealed
 
 # In the open

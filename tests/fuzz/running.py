@@ -23,7 +23,7 @@ from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import DATA, Kind, Packet, Rejection, decode
 from teleop.protocol.session import Session
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog

@@ -13,7 +13,7 @@ from teleop.live.net.wire import Wire
 from teleop.live.summary import clock_note
 from teleop.protocol.endpoint import SLEW
 from teleop.protocol.packet import DATA, Packet, decode, encode
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from tests.live.conftest import summary
 from tests.teleop.protocol.virtual_clock import MS, Clock, World, healing
 

@@ -17,7 +17,8 @@ import pytest
 
 from teleop import load_result
 from teleop.live.demo import EndOptions, demo
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from tests.waiting import until
 

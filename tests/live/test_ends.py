@@ -24,7 +24,8 @@ from teleop.live.records.end_result import WAYS
 from teleop.live.records.merge import merge, scene_of
 from teleop.live.records.reader import FILE, read_noted, read_record
 from teleop.live.records.record import EVERY
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from tests.live.conftest import share_received
 from tests.waiting import PATIENCE, until
 

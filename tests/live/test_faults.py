@@ -24,7 +24,7 @@ from teleop.live.records.reader import read_record
 from teleop.live.records.record import read_events
 from teleop.live.shell import TRACEBACK, fault_sentence
 from teleop.protocol.endpoint import Endpoint, Reading
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from tests.live.conftest import summary
 
 pytestmark = pytest.mark.live

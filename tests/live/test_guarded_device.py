@@ -22,7 +22,7 @@ from teleop.live.records.merge import merge
 from teleop.live.summary import UNWATCHED
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.session import Session
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from tests.live.conftest import Command
 
 MS = 1_000_000

@@ -21,7 +21,7 @@ from teleop.live.records.record import read_events
 from teleop.live.shell import Shell
 from teleop.physics.plant import MassDamper
 from teleop.protocol.endpoint import Reading
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog

@@ -15,7 +15,7 @@ from teleop import load_scene
 from teleop.live.live_line import LiveLine, live_text
 from teleop.protocol.endpoint import Endpoint, Reading
 from teleop.protocol.session import Session
-from teleop.scene.library import live_knobs
+from teleop.scene.loading import live_knobs
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.structure import columns
 from teleop.stages.deadband import Deadband

@@ -21,7 +21,8 @@ import pytest
 from teleop.live.process.output import END_S, Output
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, Packet, encode
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from tests.live.conftest import summary
 from tests.waiting import PATIENCE
 

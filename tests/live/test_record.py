@@ -16,7 +16,8 @@ from teleop.live.records.merge import load_result, merge, recover, scene_of
 from teleop.live.records.reader import FILE, TruncatedRecord, read_record
 from teleop.live.records.record import EVENTS, EVERY, RecordWriter, fresh_folder, read_events
 from teleop.protocol.guard import Event
-from teleop.scene.library import ROOT, load_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.structure import columns
 from teleop.simulation.trace import EndRecord

@@ -14,7 +14,7 @@ from channel.recorded import Recorded
 from teleop.live.records.inputs import INPUTS
 from teleop.live.records.reader import read_record
 from teleop.live.records.record import read_events
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.playout import Fixed, Integral, Playout, Zero, as_typed
 from teleop.scene.scene import Scene
 from teleop.simulation.result import Result

@@ -22,7 +22,7 @@ from teleop.errors import Refused
 from teleop.live.records.inputs import ARRIVALS, INPUTS
 from teleop.live.records.reader import TruncatedRecord
 from teleop.live.replay.rerun import command_open_loop, difference, read_end
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.playout import Integral
 from teleop.stages.device import Device
 from teleop.stages.encoder import Encoder

@@ -25,7 +25,7 @@ from teleop.live.records.reader import FILE, read_record
 from teleop.live.records.record import EVENTS
 from teleop.live.summary import missed_note, reading_note, sums_note
 from teleop.protocol.packet import DATA, Kind, peek
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
 from teleop.stages.watchdog import Watchdog
 from tests.live.conftest import make_shell

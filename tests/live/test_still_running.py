@@ -22,7 +22,7 @@ from teleop.live.records.merge import merge, needs_recovery
 from teleop.live.records.reader import FILE
 from teleop.live.records.record import RecordWriter
 from teleop.protocol.guard import Event
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING
 from teleop.simulation.structure import columns
 from teleop.storage.folder import is_being_written

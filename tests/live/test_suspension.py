@@ -12,7 +12,7 @@ import pytest
 
 from teleop.live.driving import ClockDriver
 from teleop.live.process.ticker import LEAST_NS, Suspension, boottime
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.stages.watchdog import Watchdog
 
 S = 1_000_000_000

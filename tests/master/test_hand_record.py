@@ -18,7 +18,7 @@ from master.steered import SteeredMaster
 from teleop import load_scene, run
 from teleop.errors import Refused
 from teleop.live.records.reader import TruncatedRecord
-from teleop.scene.library import stored_scene
+from teleop.scene.loading import stored_scene
 
 LAWS = ("wave", "pfra", "tdpa", "two_layer", "pd_d", "direct")
 

@@ -8,7 +8,7 @@ from functools import partial
 from teleop.analysis.models.by_axis import along
 from teleop.analysis.passivity.plot import draw
 from teleop.analysis.passivity.report import ask, curves, summary, table
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import write_npz
 from teleop.terminal.answer import Answer, Task, command_of
 from teleop.terminal.options import knobs_from

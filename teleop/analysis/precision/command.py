@@ -9,7 +9,7 @@ from teleop.analysis.models.by_axis import along
 from teleop.analysis.precision.measure import measure
 from teleop.analysis.precision.plot import draw
 from teleop.analysis.precision.report import summary, table
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import write_npz
 from teleop.terminal.answer import Answer, Task, command_of
 from teleop.terminal.options import knobs_from

@@ -10,7 +10,7 @@ from typing import Any
 from teleop.analysis.stability.assess import Stability
 from teleop.analysis.stability.report import StabilityAnswer, ask, summary, table
 from teleop.errors import Refused
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import write_npz
 from teleop.terminal.answer import Answer, Task, command_of, interrupts_wait
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from

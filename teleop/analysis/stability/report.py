@@ -101,7 +101,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     `show` is told how much of the search for a critical value is done, 0 to 1. An interrupt of that search ends it, and
     the answer has what it knows so far; one before it is raised as KeyboardInterrupt.
     """
-    from teleop.scene.library import load_scene
+    from teleop.scene.loading import load_scene
 
     if knob is None and (span is not None or tol is not None):
         raise Refused("--range and --tol are for a critical value; name its knob with --critical KNOB")

@@ -9,7 +9,7 @@ from teleop.analysis.models.by_axis import along
 from teleop.analysis.zwidth.assess import assess, span
 from teleop.analysis.zwidth.plot import PLOTS
 from teleop.analysis.zwidth.report import summary, table
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.terminal.answer import Answer, Task, command_of
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
 from teleop.terminal.progress import shown_for

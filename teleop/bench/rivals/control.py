@@ -13,7 +13,7 @@ from math import sqrt
 from typing import Any
 
 from teleop.bench.rivals.rival import Rival, delay_ticks, exact_positions, library, parts
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 
 

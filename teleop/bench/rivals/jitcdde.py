@@ -30,7 +30,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from teleop.bench.rivals.rival import Absent, Rival, exact_positions, library, parts
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 
 TOLERANCE, TIGHT = 1e-7, 1e-11  # absolute, in m and m/s: the loosest that keeps to 1e-6 m, and the reference's

@@ -19,7 +19,7 @@ from math import sqrt
 from typing import Any, NamedTuple
 
 from teleop.bench.rivals.rival import Rival, delay_ticks, exact_positions, parts, stiffnesses
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 
 Move = Callable[[Any, Any, Any], tuple[Any, Any]]

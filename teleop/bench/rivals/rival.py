@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 
 ROWS = 64  # of ours; numpy is given the batch that suits it best

@@ -36,7 +36,7 @@ from teleop.live.devices.judging import (
 from teleop.live.devices.opening import NamedDevice, close, find_device
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.axes import FORCE_UNIT
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
 
 GENTLE = 0.2  # m/s^2 or rad/s^2, to which what is simulated is pushed, were it the scene's own body

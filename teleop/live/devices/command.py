@@ -11,7 +11,7 @@ from teleop.live.devices.checking import DeviceCheck, check_device
 from teleop.live.devices.judging import DeviceFault, Mistake
 from teleop.scene.axes import FORCE_UNIT
 from teleop.scene.catalogue import KINDS
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import FAULT, FORCED, knobs_from
 

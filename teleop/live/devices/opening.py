@@ -19,7 +19,8 @@ from teleop.live.devices.device_watchdog import DeviceWatchdog
 from teleop.live.devices.guarded_device import LiveDevice
 from teleop.naming import find
 from teleop.scene.catalogue import KINDS, known_devices
-from teleop.scene.library import load_scene, own_module, prefer_bundled
+from teleop.scene.library import own_module, prefer_bundled
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
 
 METHODS = {"read": "k", "hold": "force"}  # and what each is called with

@@ -11,7 +11,8 @@ from teleop.law import known_laws, law_name
 from teleop.live.page.rows import RecordTail
 from teleop.scene.axes import scales
 from teleop.scene.knobs import knobs_of
-from teleop.scene.library import import_bundled, live_knobs, load_scene, scene_function
+from teleop.scene.library import import_bundled, scene_function
+from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.notes import untuned
 from teleop.simulation.result import law_with_gains, parameters

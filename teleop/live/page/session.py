@@ -14,7 +14,7 @@ from teleop.live.child import Child, arguments_of
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge
 from teleop.live.records.reader import FILE
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import both_ends
 from teleop.simulation.result import Result
 from teleop.storage.strict_json import write_document

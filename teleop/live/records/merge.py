@@ -13,7 +13,7 @@ from teleop.errors import Refused
 from teleop.live.records.end_result import NAMES, UNRELEASED, WAYS, end_result, lateness, spread_us
 from teleop.live.records.reader import FILE, check_fits, read_noted
 from teleop.live.records.record import read_events
-from teleop.scene.library import stored_scene
+from teleop.scene.loading import stored_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.ending import Ending, ending
 from teleop.simulation.notes import delay, faded, law_notes, longest, unplayed, untuned
@@ -45,7 +45,7 @@ def load_result(folder: Path | str, *, trust: bool = False) -> Result:
     goes on, with the status `RUNNING`, nothing is written.
 
     The folder may be of unknown origin: nothing in it is run, no link is followed, and memory goes with the size of its
-    files. `trust`: a scene's own file and other files that it names may be opened, see `teleop.scene.library`.
+    files. `trust`: a scene's own file and other files that it names may be opened, see `teleop.scene.loading`.
     """
     at = Path(folder)
     return settle(at, trust=trust) or read_result(at)
@@ -72,7 +72,7 @@ def settle(at: Path, *, trust: bool = False) -> Result | None:
 
 
 def scene_of(folder: Path, *, trust: bool = False) -> Scene:
-    """The scene that the live end in `folder` ran, see `teleop.scene.library`. Raises `Refused`."""
+    """The scene that the live end in `folder` ran, see `teleop.scene.loading`. Raises `Refused`."""
     return _scene(_noted(folder)[0], trust)
 
 
@@ -186,7 +186,7 @@ def recover(folder: Path, scene: Scene | None = None, *, trust: bool = False) ->
     """Make the result of a live folder whose process wrote no summary, from its record. Raises `Refused`.
 
     It is written there as summary.json and trace.npz if that process has ended. If it still runs nothing is written,
-    and the status is `RUNNING`. `scene`: the one that was run; left out: the folder's own, see `teleop.scene.library`.
+    and the status is `RUNNING`. `scene`: the one that was run; left out: the folder's own, see `teleop.scene.loading`.
     """
     running, sizes = is_being_written(folder), _sizes(folder)  # both before the record is read, which may grow
     if FILE not in sizes:

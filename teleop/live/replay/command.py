@@ -15,7 +15,7 @@ from teleop.live.records.reader import FILE, read_record
 from teleop.live.records.record import are_strangers
 from teleop.live.replay.rerun import Difference, EndFolder, OpenLoopForces, command_open_loop, difference, read_end
 from teleop.scene.axes import FORCE_UNIT, labels_of
-from teleop.scene.library import load_scene, stored_scene
+from teleop.scene.loading import load_scene, stored_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.result import write_arrays
 from teleop.storage.files import replacing

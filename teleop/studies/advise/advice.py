@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from teleop.law import two_port_laws
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.notes import unmet
 from teleop.simulation.virtual import run

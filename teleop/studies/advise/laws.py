@@ -21,7 +21,7 @@ import numpy as np
 from teleop.errors import Refused
 from teleop.knob import Declared, knobs_of_fields
 from teleop.law.offers import CONDITIONS, claims_of, seed_energy
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.notes import unmet
 from teleop.studies.parallel import stream

@@ -18,7 +18,8 @@ from teleop.errors import Refused, enumerated, number, number_of
 from teleop.law import two_port_laws
 from teleop.scene.axes import labels_of
 from teleop.scene.knobs import check_text, knobs_of
-from teleop.scene.library import load_scene, scene_function
+from teleop.scene.library import scene_function
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.result import head, parameters

@@ -38,7 +38,8 @@ from typing import Any
 from teleop.errors import Refused, nearest, whole_number
 from teleop.law import is_built_in, two_port_laws
 from teleop.scene.knobs import law_with_its_numbers
-from teleop.scene.library import ROOT, import_bundled, known_scenes, load_scene, own_file, scene_function
+from teleop.scene.library import ROOT, import_bundled, known_scenes, own_file, scene_function
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.notes import facts, law_notes, of_plans
 from teleop.simulation.plan import LinkPlans, link_plans

@@ -26,7 +26,8 @@ from teleop.errors import Refused, enumerated, number_of
 from teleop.law.offers import seed_energy
 from teleop.scene.axes import AxisLabels
 from teleop.scene.knobs import law_with_its_numbers
-from teleop.scene.library import load_scene, scene_function
+from teleop.scene.library import scene_function
+from teleop.scene.loading import load_scene
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
 from teleop.simulation.ending import GrowthNote

@@ -7,7 +7,7 @@ from dataclasses import replace
 from teleop.analysis.stability.assess import critical, stability
 from teleop.law import find_law
 from teleop.physics.plant import MassDamper
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 

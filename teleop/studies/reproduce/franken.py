@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.notes import fitted
 from teleop.simulation.virtual import run
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication

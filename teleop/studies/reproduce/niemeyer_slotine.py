@@ -8,7 +8,7 @@ from typing import Any
 
 from teleop.law import At, find_law
 from teleop.physics.plant import MassDamper
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 
 b, T = 0.8, 0.05  # N s/m, s each way

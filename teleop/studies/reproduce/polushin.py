@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from teleop.law import At, find_law
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 

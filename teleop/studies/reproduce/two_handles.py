@@ -7,7 +7,7 @@ from dataclasses import replace
 from teleop.analysis.passivity.judge import Judged, two_ports
 from teleop.law import find_law
 from teleop.physics.plant import MassDamper
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 
 HANDLE = MassDamper(mass=0.04, damping=0.8)

@@ -14,7 +14,7 @@ from typing import Any
 from teleop.errors import number_of
 from teleop.knob import knobs_of_fields
 from teleop.scene.axes import labels_of
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.notes import unmet
 from teleop.simulation.result import head

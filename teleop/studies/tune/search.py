@@ -34,7 +34,8 @@ from teleop.errors import Refused, number
 from teleop.knob import knobs_of_fields
 from teleop.law.offers import Facts, broken, claims_of
 from teleop.scene.knobs import knobs_of, law_with_its_numbers
-from teleop.scene.library import load_scene, scene_function
+from teleop.scene.library import scene_function
+from teleop.scene.loading import load_scene
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
 from teleop.simulation.notes import facts_of, fitted

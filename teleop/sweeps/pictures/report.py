@@ -159,7 +159,8 @@ def knob_units(content: Mapping[str, Any], table: Table, *, trust: bool) -> dict
     """The units of knobs and metrics of a sweep; of the scene of a user's own, whose file is run for it, only with
     `trust`. A metric over axes in m and in rad has none."""
     from teleop.scene.axes import labels_of
-    from teleop.scene.library import known_scenes, load_scene
+    from teleop.scene.library import known_scenes
+    from teleop.scene.loading import load_scene
     from teleop.simulation.metrics import UNITS
 
     name = str(content["scene"])

@@ -10,7 +10,7 @@ import pytest
 
 from teleop.live.page.controls import Clutch
 from teleop.live.page.rows import RecordTail
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 
 Ends = dict[str, RecordTail]
 

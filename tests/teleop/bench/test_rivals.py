@@ -14,7 +14,7 @@ from teleop.bench.rivals import control, jitcdde, numpy_batch
 from teleop.bench.rivals.numpy_batch import change, located, stepped
 from teleop.bench.rivals.rival import Absent, exact_positions, library, stiffnesses
 from teleop.physics.contact import events
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 from tests.programs import COMPILERS, program

@@ -12,7 +12,7 @@ import pytest
 from teleop.__main__ import main
 from teleop.protocol.manifest import live_manifest
 from teleop.protocol.packet import Kind, Packet, decode
-from teleop.scene.library import live_knobs, load_scene
+from teleop.scene.loading import live_knobs, load_scene
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 
 

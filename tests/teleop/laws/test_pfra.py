@@ -23,7 +23,7 @@ from teleop.law import At
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import EPS, PFRA, Back, PFRASums
 from teleop.physics.plant import MassDamper, free_space, move_free
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 from teleop.stages.observer import coefficients, observe

@@ -13,7 +13,7 @@ from teleop.errors import Refused
 from teleop.law import At
 from teleop.law.offers import seed_energy
 from teleop.laws.pspm import PSPM, Back, PSPMEnd, PSPMSums
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.notes import facts_of
 from teleop.simulation.virtual import run
 from tests.teleop.laws.printed import assert_printed, printed, tracking_mm

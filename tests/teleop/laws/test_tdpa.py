@@ -17,7 +17,7 @@ from teleop.errors import Refused
 from teleop.law import At
 from teleop.law.offers import seed_energy
 from teleop.laws.tdpa import PAYS, TDPA, Back, Forth, TDPAMaster, TDPAMasterSums, TDPASlave, TDPASlaveSums
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.notes import facts_of
 from teleop.simulation.virtual import run
 from teleop.stages.watchdog import Watchdog

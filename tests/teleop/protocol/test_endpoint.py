@@ -28,7 +28,7 @@ from teleop.protocol.guard import UNNAMED
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import VERSION, Echo, Kind, Packet, decode, encode
 from teleop.protocol.session import Session
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Scaled, Zero
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import link_plans

@@ -13,7 +13,7 @@ from slave import Wall
 from teleop import Cap, Device, Encoder, LowPass, MassDamper, Scene, Wave
 from teleop.protocol.manifest import fingerprint, manifest_difference, manifest_of
 from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, encode, one_line
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 
 
 def test_equal_manifests_do_not_differ() -> None:

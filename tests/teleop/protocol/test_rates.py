@@ -13,7 +13,7 @@ from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
 from teleop.protocol.inbox import Heard, Inbox, Resampling
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.playout import Fixed, Hold, Integral, Playout, Zero
 from teleop.simulation.structure import columns
 from teleop.simulation.virtual import run

@@ -16,7 +16,7 @@ from teleop.protocol.estimates import AHEAD_NS, LEAD_NS, ROUNDS
 from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_difference, manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
 from teleop.protocol.session import AGAIN_NS, RENEW_NS, Session
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 
 MS = 1_000_000
 MANIFEST = {"wire version": "1", "scene": "canonical", "law": "wave Wave(b=2.0)", "k_e": "5000.0", "dt": "0.001"}

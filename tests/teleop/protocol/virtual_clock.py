@@ -20,7 +20,7 @@ from teleop.protocol.endpoint import Endpoint, Reading
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, peek
 from teleop.protocol.session import Session
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog

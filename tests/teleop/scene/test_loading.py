@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from teleop import Integral, Refused, load_scene
-from teleop.scene.library import live_knobs
+from teleop.scene.loading import live_knobs
 
 
 def test_what_runs_by_the_clock_plays_waves_by_their_integral_with_a_link_or_without() -> None:

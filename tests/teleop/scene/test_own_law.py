@@ -15,7 +15,8 @@ import pytest
 from teleop import Refused, Result, load_scene, run, sweep
 from teleop.protocol.manifest import manifest_difference, manifest_of
 from teleop.scene.catalogue import units_of
-from teleop.scene.library import ROOT, asks_for_trust, stored_scene
+from teleop.scene.library import ROOT
+from teleop.scene.loading import asks_for_trust, stored_scene
 from teleop.simulation.bodies import exact_bodies
 from tests.teleop.conftest import Answer
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from teleop import Refused
-from teleop.scene.library import asks_for_trust, built_in_scenes, check_installed, stored_scene
+from teleop.scene.library import built_in_scenes
+from teleop.scene.loading import asks_for_trust, check_installed, stored_scene
 
 
 @pytest.mark.parametrize("name", built_in_scenes())

@@ -15,7 +15,7 @@ from teleop.analysis.stability.assess import is_stable
 from teleop.laws.direct import Direct
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.ending import scene_arguments
 from teleop.simulation.notes import unplayed

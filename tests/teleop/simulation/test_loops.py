@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.source import rendered
 

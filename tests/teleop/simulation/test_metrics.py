@@ -12,7 +12,7 @@ import pytest
 
 from teleop.laws.direct import Direct
 from teleop.physics.plant import MassDamper
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.playout import integrates
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import (

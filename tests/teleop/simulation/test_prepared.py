@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import teleop.simulation.bodies
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run, run_prepared
 

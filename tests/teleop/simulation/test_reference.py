@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from teleop.laws.direct import Direct
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.felt import frame_of
 from teleop.simulation.plan import link_plans

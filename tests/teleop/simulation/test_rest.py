@@ -17,7 +17,8 @@ from slave.moving import Moving
 from slave.wall import Wall
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
-from teleop.scene.library import built_in_scenes, load_scene
+from teleop.scene.library import built_in_scenes
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.prepared import prepare
 from teleop.simulation.rest import FELT, LATE, WINDOWS, swings, trend

@@ -286,7 +286,7 @@ class TestLines:
         assert frame.line == "kept = a.x + a.x"
 
     def test_of_another_file_have_the_number_of_their_call(self) -> None:
-        from teleop.scene.library import load_scene
+        from teleop.scene.loading import load_scene
         from teleop.simulation import tick
         from teleop.simulation.source import lines
         from teleop.simulation.structure import structure_of

@@ -22,7 +22,7 @@ from teleop.law import At
 from teleop.laws.direct import Back, Direct, Forth
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from teleop.laws.wave import Wave
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 
 

@@ -15,7 +15,7 @@ from channel.blackout import Blackout
 from channel.delay import Delay
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from teleop.stages.force_cap import Cap, cap
 from teleop.stages.watchdog import Watchdog, watchdog_step

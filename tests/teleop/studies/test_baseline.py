@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from teleop.errors import Refused
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.studies.baseline import baseline_contact, contact_force, rigid_baseline
 
 

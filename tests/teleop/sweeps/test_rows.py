@@ -11,7 +11,8 @@ from channel.delay import Delay
 from slave.wall import Wall
 from teleop.errors import Refused
 from teleop.laws.wave import Wave
-from teleop.scene.library import SceneMaker, load_scene, scene_function
+from teleop.scene.library import scene_function
+from teleop.scene.loading import SceneMaker, load_scene
 from teleop.sweeps.chunk import Job, work
 from teleop.sweeps.rows import RowMaker, same
 

@@ -26,7 +26,7 @@ from teleop.analysis.precision.report import summary, table
 from teleop.errors import Refused
 from teleop.laws.direct import Direct
 from teleop.physics.plant import MassDamper
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.integrators.methods import METHODS

@@ -22,7 +22,7 @@ from teleop.analysis.zwidth.plane import Span
 from teleop.analysis.zwidth.plot import PLOTS
 from teleop.analysis.zwidth.report import format_value, numbers, ratios, summary, table
 from teleop.errors import Refused
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.storage.strict_json import write_document
 

@@ -11,7 +11,7 @@ from teleop.analysis.models.rest import FreeMotion, settled
 from teleop.analysis.zwidth.assess import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.plane import boundary, loop
 from teleop.errors import Refused
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 
 

@@ -20,7 +20,8 @@ from teleop.law import law_name
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.laws.wave import Wave
 from teleop.protocol.manifest import manifest_difference, manifest_of
-from teleop.scene.library import ROOT, asks_for_trust
+from teleop.scene.library import ROOT
+from teleop.scene.loading import asks_for_trust
 from teleop.simulation.ending import scene_arguments as as_typed
 from teleop.simulation.prepared import prepare
 from teleop.simulation.result import parameters

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from teleop.errors import Refused
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant, free_space, grip, move_free, move_gripped, spring_damper
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch
 from teleop.simulation.integrators.stepped import method_bodies, stepped, sub_step, touch_of

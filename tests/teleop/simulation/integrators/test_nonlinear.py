@@ -23,7 +23,7 @@ from teleop.errors import Refused
 from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping, relaxing
 from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, resistance_force
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.integrators import relaxed
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch

@@ -10,7 +10,7 @@ from teleop.errors import Refused
 from teleop.law import find_law, known_laws
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.studies.compare.cases import BUILT_IN, cases_of, read_comparison
 
 GOOD = """

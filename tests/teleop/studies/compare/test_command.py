@@ -12,7 +12,7 @@ import pytest
 
 import teleop.studies.compare.command as command_module
 from teleop.__main__ import main
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from teleop.studies.compare.command import CaseBatch, ending_of, run_batch
 from teleop.studies.margin import margin

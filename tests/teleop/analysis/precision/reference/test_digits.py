@@ -16,7 +16,7 @@ from teleop.analysis.precision.reference.deviation import Steps, errors
 from teleop.analysis.precision.reference.digits import Body, Equation, Motion, digit_bodies, run_in_digits
 from teleop.analysis.precision.reference.reference import settle
 from teleop.physics.sdirk import BOND, WALL
-from teleop.scene.library import load_scene
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
 from teleop.simulation.virtual import run

@@ -25,7 +25,8 @@ from teleop.analysis.precision.reference.truth import Truth, bound_of, truth_of
 from teleop.analysis.precision.report import summary, table
 from teleop.errors import Refused
 from teleop.physics.plant import MassDamper
-from teleop.scene.library import built_in_scenes, load_scene
+from teleop.scene.library import built_in_scenes
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators.methods import METHODS
