@@ -186,7 +186,7 @@ def _tell_result(args: Namespace, result: Result, folder: Path, command: list[st
     if args.json:
         tell("done", path=str(folder), summary=result.summary(command))
     else:
-        from teleop.terminal.run import table
+        from teleop.terminal.run_table import table
 
         trust = " --trust" if asks_for_trust(args.scene, knobs_from(args)) else ""
         print(screen.render(f"{table(result)}\nwritten to {folder}; `teleop report{trust} MASTER SLAVE` puts the two "

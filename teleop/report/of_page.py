@@ -18,7 +18,8 @@ from teleop.storage.files import read_bytes
 from teleop.storage.folder import is_being_written
 from teleop.storage.strict_json import Misshapen, parse
 from teleop.terminal.answer import Answer
-from teleop.terminal.run import PLOT, heading
+from teleop.terminal.run import PLOT
+from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts, si
 
 INDEX = "page.json"

@@ -12,8 +12,8 @@ from teleop.report.strips import Strip, strips
 from teleop.scene.catalogue import units_of
 from teleop.scene.library import known_scenes
 from teleop.simulation.metrics import METRICS
-from teleop.terminal.run import heading as headed
-from teleop.terminal.run import rows, what
+from teleop.terminal.run_table import heading as headed
+from teleop.terminal.run_table import rows, what
 from teleop.terminal.table import si
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.scene.axes import unit_on
 from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
 from teleop.terminal.plotting import BLUE, DARK, GREEN, PNG, RED, UNDER, grid_lines, literal, new_figure, save
-from teleop.terminal.run import heading, verdict
+from teleop.terminal.run_table import heading, verdict
 from teleop.terminal.table import PREFIX
 
 if TYPE_CHECKING:

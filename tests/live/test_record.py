@@ -21,7 +21,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.structure import columns
 from teleop.simulation.trace import EndRecord
-from teleop.terminal.run import table
+from teleop.terminal.run_table import table
 
 SCENE = load_scene("hard_wall", duration=1.0)
 WIDTH = len(columns(SCENE, "m"))

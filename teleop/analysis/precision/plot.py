@@ -31,7 +31,7 @@ from teleop.terminal.plotting import (
     new_figure,
     save,
 )
-from teleop.terminal.run import heading
+from teleop.terminal.run_table import heading
 from teleop.terminal.table import si
 
 if TYPE_CHECKING:

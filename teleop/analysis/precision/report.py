@@ -13,7 +13,7 @@ from teleop.analysis.precision.reference.deviation import SERIES
 from teleop.errors import number_of
 from teleop.scene.axes import labels_of, told_along, unit_on
 from teleop.terminal.answer import WithUnit, finite, scene_head, with_units
-from teleop.terminal.run import heading
+from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts, si
 
 if TYPE_CHECKING:

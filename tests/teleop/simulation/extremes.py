@@ -43,7 +43,7 @@ from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
-from teleop.terminal.run import table
+from teleop.terminal.run_table import table
 
 TICKS, SPREAD, SEED = 240, 320, 5
 

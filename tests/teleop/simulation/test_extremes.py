@@ -27,7 +27,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from teleop.stages.force_cap import LONGEST
-from teleop.terminal.run import table
+from teleop.terminal.run_table import table
 from tests.teleop.simulation.extremes import CHOICES, RANGES, TICKS, Case, failing, lines_kept, rows, scene_of, tried
 
 EPS = float(np.finfo(float).eps)

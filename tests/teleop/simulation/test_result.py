@@ -15,7 +15,7 @@ from teleop import Refused, Result, load_result, load_scene, run
 from teleop.simulation.metrics import UNITS
 from teleop.simulation.plan import Packets
 from teleop.simulation.result import parameters
-from teleop.terminal.run import table
+from teleop.terminal.run_table import table
 
 
 @pytest.fixture(scope="module")

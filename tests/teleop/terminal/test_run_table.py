@@ -11,7 +11,7 @@ import pytest
 from teleop import Refused, Result, load_scene, run
 from teleop.simulation.result import Packets
 from teleop.terminal.options import guarded
-from teleop.terminal.run import heading, table
+from teleop.terminal.run_table import heading, table
 from teleop.terminal.table import printable
 
 
