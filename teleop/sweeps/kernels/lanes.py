@@ -20,6 +20,7 @@ from typing import Any
 import numba
 from llvmlite import ir
 from numba.core import cgutils
+from numba.core.errors import TypingError
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
@@ -243,8 +244,11 @@ def select(typingctx: Any, which: Any, here: Any, otherwise: Any) -> Any:
     """`here` where the mask is true, `there` in the other lanes: numbers, truths, or tuples of such."""
 
     def type_of(one: Any, second: Any) -> Any:
-        if isinstance(one, types.BaseTuple):
-            tuple_class = one.instance_class if isinstance(one, types.BaseNamedTuple) else None
+        if isinstance(one, types.BaseTuple) or isinstance(second, types.BaseTuple):
+            tuple_class = getattr(one, "instance_class", None)
+            alike = [isinstance(each, types.BaseTuple) and len(each.types) for each in (one, second)]
+            if tuple_class is not getattr(second, "instance_class", None) or alike[0] != alike[1]:
+                raise TypingError(f"{one} and {second} are not alike, so no mask selects between them")
             return types.BaseTuple.from_types(tuple(map(type_of, one.types, second.types)), tuple_class)
         if all(isinstance(each, types.Boolean | MaskType) for each in (one, second)):
             return mask if MaskType in (type(which), type(one), type(second)) else types.boolean
