@@ -263,8 +263,9 @@ class _Link:
         return False
 
     def goodbye(self) -> None:
-        """Say that the connection is over."""
-        assert self._service is not None
+        """Say that the connection is over, if it is not lost already."""
+        if self._service is None:
+            return
         self._service.close()
         with suppress(OSError, DeviceError):
             self._flush()

@@ -175,7 +175,7 @@ def _legend(panels: Panels) -> list[tuple[str, str]]:
 def plain_number(label: str) -> str:
     """The label of a curve without the signs of a formula.
 
-    >>> plain("$f_{env}$ on the environment")
+    >>> plain_number("$f_{env}$ on the environment")
     'f_env on the environment'
     """
     return re.sub(r"[${}]", "", label)
