@@ -20,7 +20,6 @@ from teleop.simulation.result import head, law_with_gains, parameters
 from teleop.storage.folder import LAST, NewFolder, new_folder
 from teleop.storage.strict_json import json_text, write_document
 from teleop.terminal.options import DONE, INTERRUPTED
-from teleop.terminal.plotting import asked_formats
 from teleop.terminal.screen import render
 from teleop.terminal.table import printable
 
@@ -147,6 +146,8 @@ def command_of(find: Callable[[Namespace], Task], name: str, *, always: bool = T
     where the task does.
     """
     def command(args: Namespace) -> Answer:
+        from teleop.terminal.plotting import asked_formats  # loaded by commands that may draw
+
         formats = asked_formats(args)
         task = find(args)
         if not (always or formats or args.out is not None):
