@@ -115,7 +115,7 @@ class TestACouplingOfOnesOwn:
         scene = with_law(Offering(), step=1e-5, friction=1.0)
         assert one_port(scene).passive is None
         assert passive_region(scene).corners is None
-        assert one_port(replace(scene, law=Bonded())).verdict.asked is None  # that is no spring and damper
+        assert one_port(replace(scene, law=Bonded())).verdict.friction is None  # that is no spring and damper
 
     def test_without_series_or_passive_integrator_has_no_region_and_is_told_which_would_do(self) -> None:
         @dataclass(frozen=True, kw_only=True)
