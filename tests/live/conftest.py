@@ -23,6 +23,7 @@ from slave.robot import SimulatedSlave
 from teleop.live.driving import run
 from teleop.live.net.wire import Wire, bind_udp
 from teleop.live.process.interrupt import Interrupt
+from teleop.live.process.realtime import RealTime
 from teleop.live.records.end_result import WAYS
 from teleop.live.records.record import RecordWriter
 from teleop.live.shell import Shell
@@ -36,6 +37,13 @@ from teleop.simulation.plan import link_plans
 from tests.waiting import PATIENCE
 
 DEVICES: dict[str, Callable[[Scene], Any]] = {"m": SimulatedMaster, "s": SimulatedSlave}
+
+
+@pytest.fixture(autouse=True)
+def _ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave this process as it is: an end that ran first here would keep a core from the ends of other tests."""
+    monkeypatch.setattr(
+        "teleop.live.end.realtime.scheduling_of", lambda _args, interrupt, *_: RealTime(interrupt, wanted=False))
 
 
 def make_shell(scene: Scene, e: str, wire: Wire, folder: Path, *, seed: int | None = None, **other: Any) -> Shell:

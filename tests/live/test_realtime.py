@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -114,6 +115,22 @@ def test_it_is_given_back_when_the_block_ends_and_not_inherited(calls: list[Any]
     assert (policy, priority) == (OTHER, 0)
     assert thread
     assert len(calls) == 2
+
+
+@pytest.mark.usefixtures("calls")
+def test_a_process_with_millions_of_objects_is_not_killed_while_it_collects_them(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A collection of three seconds does not sleep: it was over the limit of a thread that is scheduled first."""
+    frozen: list[int] = []
+    lock = realtime._lock
+    monkeypatch.setattr(realtime, "_lock", lambda: (frozen.append(gc.get_freeze_count()), lock())[1])
+    gc.unfreeze()
+    try:
+        with RealTime(Interrupt()):
+            assert frozen[0] > len(gc.get_objects()), "nearly all is out of its sight before it is asked for"
+    finally:
+        gc.unfreeze()
 
 
 def test_a_child_and_a_thread_of_a_live_process_are_scheduled_as_all_others() -> None:

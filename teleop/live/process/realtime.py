@@ -21,6 +21,7 @@ since a limit that is reached later would make memory fail. The collector stays 
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import sys
 from argparse import Namespace
@@ -72,11 +73,15 @@ class RealTime:
 
     def __enter__(self) -> RealTime:
         if self._wanted:
+            # A collection does not sleep: in a process with millions of objects it takes longer than a thread with
+            # real-time scheduling may stay awake. So they are looked at before, and never again.
+            gc.collect()
+            gc.freeze()
             self._limits = _bound_awake()
+            self._thread, self._interrupt.overrun = _this_thread(), self._overrun
             self.granted = ask(self._priority)
-            if self.granted.priority is not None:
-                self._thread = _this_thread()
-                self._interrupt.overrun = self._overrun
+            if self.granted.priority is None:
+                self._thread, self._interrupt.overrun = 0, None
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

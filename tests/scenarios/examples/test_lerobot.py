@@ -194,7 +194,7 @@ def test_a_run_that_stands_still_or_is_over_is_not_connected(
         hand.get_action()
     hand.connect()
     arm.connect()
-    hand._newest._came -= 1.0
+    hand._newest._received -= 1.0
     with pytest.raises(NotConnected, match=r"no row came for 0\.05 s"):
         hand.get_action()
     for e in "ms":

@@ -149,7 +149,7 @@ def test_a_driver_that_is_silent_is_a_device_that_fails_and_comes_back(graph: Gr
         arm.read(0)
     graph.say("/arm/joint_states", state("j1", 1.0))
     arm.read(1)
-    arm._came -= 1.0
+    arm._received -= 1.0
     with pytest.raises(DeviceError, match=r"for 0\.05 s"):
         arm.read(2)
     graph.say("/arm/joint_states", state("j1", 2.0))

@@ -19,7 +19,8 @@ WRONG = {  # what is wrong: lines of the law's file, those in their place, what 
     "the master goes on where the slave is stopped": (
         "self.K * (apart - offset) + self.B * at.v, Forth", "-self.K * (apart - offset) + self.B * at.v, Forth",
         "turn the sign of f_m"),
-    "the other end is taken to stand at zero": ("Coupling(0.0), Back(at.x)", "Coupling(0.0), Back(0.0)", "would jump"),
+    "the other end is taken to stand at zero": (
+        "PDampedEnd(0.0), Back(at.x)", "PDampedEnd(0.0), Back(0.0)", "would jump"),
     "where it was let go is kept in the law": (
         "offset = (s.offset", "self.__dict__['rejoin'] = 1.0; offset = (s.offset", "changes the law"),
     "the condition counts the damper once for both ends": (
