@@ -15,7 +15,7 @@ from teleop.protocol.endpoint import SLEW
 from teleop.protocol.estimates import LinkEstimates, Times
 from teleop.scene.playout import integrates
 from teleop.scene.scene import Scene
-from teleop.simulation.ending import age_note
+from teleop.simulation.ending import Ending, age_note
 from teleop.simulation.notes import in_gaps
 from teleop.simulation.plan import Packets
 from teleop.simulation.result import Result
@@ -69,19 +69,19 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
     }
     guard = endpoint.guard
     old = [age_note(NAMES[endpoint.e], guard.old, guard.oldest, guard.age)] if guard.old and guard.age else []
+    total = shell.counts.skipped + shell.counts.ticks
+    notes = [*old, *getattr(shell.device.device, "notes", ()), *cut, *[INSECURE] * shell.security.insecure,
+             *[UNWATCHED] * holds_on(shell), shell.recorder.trouble, shell.recorder.inputs.trouble,
+             clock_note(endpoint.link),
+             sums_note(endpoint.rejected["integrals"], NAMES["s" if endpoint.e == "m" else "m"]),
+             reading_note(shell.counts.in_read, shell.counts.longest_read, total),
+             missed_note(shell.counts.skipped, total, endpoint.own, scheduling)]
     return end_result(
-        scene, endpoint.e, record, late, seed=seed, mode="lockstep" if endpoint.stepped else "live",
-        status=shell.outcome.status, sentence=shell.outcome.sentence, facts=facts,
+        scene, endpoint.e, record, late,
+        Ending(shell.outcome.status, shell.outcome.sentence, notes=tuple(filter(None, notes))), seed=seed,
+        mode="lockstep" if endpoint.stepped else "live", facts=facts,
         packets={sends: Packets(sent=shell.counts.data_sent, saved=endpoint.saved), hears: heard},
         first=shell.counts.first, every=endpoint.every,
-        notes=[*old, *getattr(shell.device.device, "notes", ()), *cut, *[INSECURE] * shell.security.insecure,
-               *[UNWATCHED] * holds_on(shell),
-               *filter(None, [shell.recorder.trouble, shell.recorder.inputs.trouble, clock_note(endpoint.link),
-                              sums_note(endpoint.rejected["integrals"], NAMES["s" if endpoint.e == "m" else "m"]),
-                              reading_note(shell.counts.in_read, shell.counts.longest_read,
-                                           shell.counts.skipped + shell.counts.ticks),
-                              missed_note(shell.counts.skipped, shell.counts.skipped + shell.counts.ticks,
-                                          endpoint.own, scheduling)])],
     )
 
 

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import Refused
 from teleop.scene.axes import AxisLabels, labels_in, labels_of
@@ -17,6 +17,9 @@ from teleop.simulation.trace import blocks
 from teleop.storage.files import read_bytes, replacing
 from teleop.storage.folder import new_folder
 from teleop.storage.strict_json import Misshapen, json_value, parse, write_document
+
+if TYPE_CHECKING:
+    from teleop.simulation.ending import Ending
 
 RUNNING = "still running"  # the status of a live run that has not ended: its result is of the ticks recorded so far
 LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
@@ -77,21 +80,17 @@ class Result:
 
     @classmethod
     def make(
-        cls, scene: Scene, *, seed: int, mode: str, status: str, sentence: str, ticks: int, run_time: float | None,
-        trace: Mapping[str, Any], packets: Mapping[str, Packets], notes: Sequence[str] = (),
-        extra: Mapping[str, object] | None = None, at_rest: Mapping[str, float] | None = None,
+        cls, scene: Scene, ending: Ending, *, seed: int, mode: str, ticks: int, run_time: float | None,
+        trace: Mapping[str, Any], packets: Mapping[str, Packets], extra: Mapping[str, object],
     ) -> Result:
-        """The result of a run of `scene`, its metrics worked out from the trace; a note names those not finite.
-
-        `at_rest`: the metrics of a run that nothing moves any more at its end.
-        """
-        every = worked_out(scene, trace) | dict(at_rest or {})
+        """The result of a run of `scene`, its metrics worked out from the trace; a note names those not finite."""
+        every = worked_out(scene, trace) | dict(ending.at_rest)
         lost = ", ".join(sorted(every.keys() - finite(every).keys()))
-        notes = [*notes, *[f"not finite, and so left out of the metrics: {lost}"] * bool(lost)]
+        notes = [*ending.notes, *[f"not finite, and so left out of the metrics: {lost}"] * bool(lost)]
         return cls(
-            scene=scene.name, parameters=parameters(scene), seed=seed, mode=mode, status=status, sentence=sentence,
-            ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=finite(every), packets=packets,
-            notes=tuple(notes), extra={**labels_of(scene).document(), **(extra or {})}, trace=trace,
+            scene=scene.name, parameters=parameters(scene), seed=seed, mode=mode, status=ending.status,
+            sentence=ending.sentence, ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=finite(every),
+            packets=packets, notes=tuple(notes), extra={**labels_of(scene).document(), **extra}, trace=trace,
         )
 
     def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:

@@ -114,11 +114,10 @@ def result_of(
     sentences += too_old(scene, "slave", fwd, ran)
     sentences += over_tolerance(reports, position_unit(scene))
     sentences += unplayed(scene, trace, packets, seed=seed) + faded(scene, trace)
-    sentences += ending.notes
     return Result.make(
-        scene, seed=seed, mode="virtual", status=ending.status, sentence=ending.sentence, ticks=ran,
+        scene, ending._replace(notes=(*sentences, *ending.notes)), seed=seed, mode="virtual", ticks=ran,
         run_time=None if took is None else took / 1e9, trace=trace, packets={} if scene.slave is None else packets,
-        notes=sentences, extra=reports, at_rest=ending.at_rest)
+        extra=reports)
 
 
 def sent_ticks(scene: Scene, e: str, rows: Any, ran: int) -> Any:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
@@ -31,8 +31,6 @@ from teleop.terminal.table import facts, grouped
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene
-    from teleop.sweeps.cluster import Cluster
-    from teleop.sweeps.grid import Grid
     from teleop.sweeps.runner import Sweep
     from teleop.sweeps.table import Table
 
@@ -104,10 +102,12 @@ def command(args: Namespace) -> Answer:
     """Carry out `teleop sweep`: run the rows, write summary.json and draw what is asked for. Raises `Refused`."""
     picture = PictureRequest(args.picture, args.metric)
     formats = asked_formats(args, wanted=any(picture))
-    swept = carry_out(args.scene, knobs_from(args), args.grid, seeds=args.seeds, metrics=args.metrics,
-                      latin=args.latin, random=args.random, cluster=args.cluster, workers=args.workers,
-                      engine=args.engine, out=args.out, yes=args.yes, clock=args.seconds,
-                      request=picture if formats else None, stream=None if args.json else sys.stderr)
+    plan = _plan(args)
+    if formats:
+        _check_picture(plan, picture)
+    folder = Path(args.out) if args.out is not None else Path("runs") / f"{Path(args.scene).stem}-sweep"
+    swept = carry_out(plan, folder, cluster=args.cluster, workers=args.workers, clock=args.seconds,
+                      stream=None if args.json else sys.stderr)
     summary = swept.write(args.typed)
     answer = Answer(swept.text(), {**swept.summary(args.typed), "runs": summary["runs"]}).kept_in(swept.folder)
     if swept.interrupted:
@@ -117,32 +117,36 @@ def command(args: Namespace) -> Answer:
     return answer._replace(code=INTERRUPTED if swept.interrupted else DONE)
 
 
-def carry_out(
-    name: str, knobs: Mapping[str, object], axes: Sequence[str], *, seeds: int, metrics: str | None, engine: str | None,
-    out: str | None, yes: bool, clock: Callable[[], float], stream: TextIO | None,
-    request: PictureRequest | None = None,
-    latin: int | None = None, random: int | None = None, cluster: str | None = None, workers: int | None = None,
-) -> SweepOutcome:
-    """Run the sweep of scene `name` over `axes` (texts, see `teleop.sweeps.grid`). Raises `Refused`.
-
-    `request`: the picture that will be drawn of it, refused here if no row could make it possible.
-    `latin` or `random`: so many points drawn from ranges in place of a grid. `clock` (s) times it. `cluster`: the
-    address of a dask scheduler whose workers run the rows. `workers`: threads; left out, one for each core.
-    """
-    from teleop.sweeps.runner import carry_out as run_rows
+def _plan(args: Namespace) -> Sweep:
+    """Plan the sweep that was typed, with its points from `--latin` or `--random`, or from a grid. Raises `Refused`."""
+    from teleop.sweeps.grid import grid, parse_axes, parse_ranges, sampled
     from teleop.sweeps.runner import plan_sweep
+
+    text, count = args.metrics, args.latin or args.random
+    metrics = None if text is None else [one.strip() for one in text.split(",") if one.strip()]
+    if metrics == []:
+        raise Refused(f"--metrics {text} names none; write for example --metrics x_err_rms,f_m_max, or leave it out")
+    if args.latin is not None and args.random is not None:
+        raise Refused("--latin and --random are two ways to draw points; leave one of them out")
+    points = grid(parse_axes(args.grid), args.seeds) if count is None else sampled(
+        parse_ranges(args.grid), count, latin=args.latin is not None, seeds=args.seeds)
+    plan = plan_sweep(args.scene, points, metrics=metrics, fixed=knobs_from(args), engine=args.engine)
+    if len(points) > MANY and not args.yes:
+        raise Refused(f"this is {grouped(len(points))} rows; write fewer values, or --yes if you mean it")
+    return plan
+
+
+def carry_out(plan: Sweep, folder: Path, *, cluster: str | None, workers: int | None, clock: Callable[[], float],
+              stream: TextIO | None) -> SweepOutcome:
+    """Run what is not done yet of a sweep, into `folder`, with its progress on `stream`. Raises `Refused`.
+
+    `cluster`: the address of a dask scheduler whose workers run the rows. `workers`: threads; None: one for each core.
+    `clock` (s) times it.
+    """
+    from teleop.sweeps.cluster import connected
+    from teleop.sweeps.runner import carry_out as run_rows
     from teleop.sweeps.store import Store
-    wanted = None if metrics is None else [one.strip() for one in metrics.split(",") if one.strip()]
-    if wanted == []:
-        raise Refused(f"--metrics {metrics} names none; write for example --metrics x_err_rms,f_m_max, or leave it out")
-    points = _points(axes, seeds, latin, random)
-    plan = plan_sweep(name, points, metrics=wanted, fixed=knobs, engine=engine)
-    rows = len(plan.grid)
-    if rows > MANY and not yes:
-        raise Refused(f"this is {grouped(rows)} rows; write fewer values, or --yes if you mean it")
-    if request is not None:
-        _check_picture(plan, request)
-    folder = Path(out) if out is not None else Path("runs") / f"{Path(name).stem}-sweep"
+
     line = None if stream is None else RowsProgress(stream)
 
     def show(done: int, of: int) -> None:
@@ -155,7 +159,7 @@ def carry_out(
             complain(sentence, DONE)
 
     interrupted = False
-    with _workers(cluster, tell) as pool:
+    with nullcontext() if cluster is None else connected(cluster, tell) as pool:
         began = clock()
         before = len(Store.look(folder).done) if (folder / "sweep.json").is_file() else 0
         try:
@@ -193,26 +197,3 @@ def _check_picture(plan: Sweep, request: PictureRequest) -> None:
                if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)]
     metrics = [one if isinstance(one, str) else one.__name__ for one in plan.measures]
     check([*several], numeric, request.kind, request.metric, metrics)
-
-
-@contextmanager
-def _workers(cluster: str | None, tell: Callable[[str], None]) -> Iterator[Cluster | None]:
-    """Workers of the cluster at an address; none: the sweep's own threads."""
-    if cluster is None:
-        yield None
-        return
-    from teleop.sweeps.cluster import connected
-
-    with connected(cluster, tell) as pool:
-        yield pool
-
-
-def _points(axes: Sequence[str], seeds: int, latin: int | None, random: int | None) -> Grid:
-    from teleop.sweeps.grid import grid, parse_axes, parse_ranges, sampled
-
-    if latin is not None and random is not None:
-        raise Refused("--latin and --random are two ways to draw points; leave one of them out")
-    count = latin or random
-    if count is None:
-        return grid(parse_axes(axes), seeds)
-    return sampled(parse_ranges(axes), count, latin=latin is not None, seeds=seeds)

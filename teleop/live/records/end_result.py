@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from teleop.scene.scene import Scene
+from teleop.simulation.ending import Ending
 from teleop.simulation.plan import Packets
 from teleop.simulation.prepared import prepare
 from teleop.simulation.result import Result
@@ -25,8 +25,8 @@ WAYS = {"m": ("fwd", "bwd"), "s": ("bwd", "fwd")}  # the direction an end sends 
 
 
 def end_result(
-    scene: Scene, e: str, record: EndRecord, late: Any, *, seed: int, mode: str, status: str, sentence: str,
-    facts: dict[str, Any], packets: dict[str, Packets], notes: Sequence[str], first: int = 0, every: int = 1,
+    scene: Scene, e: str, record: EndRecord, late: Any, ending: Ending, *, seed: int, mode: str, facts: dict[str, Any],
+    packets: dict[str, Packets], first: int, every: int,
 ) -> Result:
     """Make the result of one end's part of a run: its columns, and the figures that they are enough for.
 
@@ -35,14 +35,13 @@ def end_result(
     trace = Columns({"t": lambda: seconds(record.ticks, scene.dt_ns), **end_columns(prepare(scene), e, record).makers,
                      f"late_{e}": lambda: _scaled(late, 1e9)})
     if record.force == "unknown":
-        notes = [*notes, UNSENSED[e]]
+        ending = ending._replace(notes=(*ending.notes, UNSENSED[e]))
     of_end = {
-        "status": status, "sentence": sentence, "ticks": len(record.ticks), **facts,
+        "status": ending.status, "sentence": ending.sentence, "ticks": len(record.ticks), **facts,
         "late_us": spread_us(lateness(record.ticks, late, scene.dt_ns, first, every)),
     }
-    return Result.make(scene, seed=seed, mode=mode, status=status, sentence=sentence, ticks=len(record.ticks),
-                       run_time=None, trace=trace, packets=packets, notes=notes,
-                       extra={"end": NAMES[e], NAMES[e]: of_end})
+    return Result.make(scene, ending, seed=seed, mode=mode, ticks=len(record.ticks), run_time=None, trace=trace,
+                       packets=packets, extra={"end": NAMES[e], NAMES[e]: of_end})
 
 
 def lateness(ticks: Any, late: Any, dt_ns: int, first: int = 0, every: int = 1) -> NDArray[np.float64]:

@@ -129,7 +129,6 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     lossy, held = any(each.lost > 0 for each in packets.values()), max(longest(each.ticks) for each in records.values())
     notes = [*untuned(scene), *law_notes(scene, delays["s"], delays["m"], lossy, held * scene.dt_ns / 1e9), *notes]
     run_time = max((end["run_time"] for end in of_ends.values() if end.get("run_time") is not None), default=None)
-    extra = {**of_ends, "channel": channel}
     if again and _met_anew(events, span):
         notes.append("the two met anew in between, and their ledgers of energy began anew: they are those of the last "
                      f"session, from t = {again * scene.dt:.3f} s on")
@@ -137,9 +136,8 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
               *verdict.notes,
               *[f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]]
     return Result.make(
-        scene, seed=ours["seed"], mode=ours["mode"], status=verdict.status, sentence=verdict.sentence,
-        ticks=len(trace["t"]), run_time=run_time, trace=trace, packets=packets, notes=notes, extra=extra,
-        at_rest=verdict.at_rest)
+        scene, verdict._replace(notes=tuple(notes)), seed=ours["seed"], mode=ours["mode"], ticks=len(trace["t"]),
+        run_time=run_time, trace=trace, packets=packets, extra={**of_ends, "channel": channel})
 
 
 def _in_last_session(trace: Columns, events: dict[str, list[dict[str, Any]]], span: range, dt: float) -> int:
@@ -242,8 +240,8 @@ def _of_one(folder: Path, scene: Scene | None, trust: bool, running: bool) -> tu
     sends, hears = WAYS[e]
     received = int((np.asarray(record.played) >= 0).sum())
     result = end_result(
-        scene, e, record, late, seed=header["seed"], mode=header["mode"], status=status, sentence=sentence,
-        facts={"skipped": skipped, "events": events}, notes=notes, first=first, every=every,
+        scene, e, record, late, Ending(status, sentence, notes=tuple(notes)), seed=header["seed"], mode=header["mode"],
+        facts={"skipped": skipped, "events": events}, first=first, every=every,
         packets={sends: Packets(sent=len(record.ticks)), hears: Packets(received=received)},
     )
     return result, header.get("command", [])

@@ -26,7 +26,7 @@ from teleop.simulation.virtual import run
 from teleop.studies.advise.laws import LawAdvice, LawJob, LawMargins, OneWay, one_way, search_laws
 from teleop.studies.baseline import rigid_baseline
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, YIELDS, Score, find_objective, score
-from teleop.studies.tune.search import Tuned
+from teleop.studies.tune.search import SearchJob, Tuned
 from teleop.sweeps.grid import grid
 from teleop.sweeps.runner import carry_out, plan_sweep
 
@@ -99,7 +99,7 @@ def advise(scene: str, budget: int, *, fixed: Mapping[str, object], laws: Sequen
     first = load_scene(scene, **fixed)
     rigid_baseline(first)  # a scene in which no law can be tuned is refused at once, and not law by law
     ways = one_way(first, 0, seed), one_way(first, 1, seed)
-    jobs = [LawJob(scene, law, budget, fixed, ways, objective, seed, engine, ()) for law in names]
+    jobs = [LawJob(SearchJob(scene, law, budget, seed, fixed, objective, engine=engine), ways) for law in names]
     ended = [*search_laws(jobs, out, workers, clock, show)]
     advices = [each for each, _ in ended]
     advices.sort(key=lambda each: (each.tuned.score.order if each.tuned is not None else (float("inf"), 0.0, 0.0),

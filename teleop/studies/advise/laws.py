@@ -26,7 +26,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.notes import unmet
 from teleop.studies.parallel import stream
 from teleop.studies.tune.objective import Score
-from teleop.studies.tune.search import Scored, Tuned, tune_law
+from teleop.studies.tune.search import LawSearch, Scored, SearchJob, Tuned
 from teleop.sweeps.engine import PLAIN
 from teleop.sweeps.grid import json_value
 from teleop.sweeps.kernels.functions import digest
@@ -171,15 +171,9 @@ def promise(law: LawAdvice) -> str:
 class LawJob(NamedTuple):
     """Search of one law, as a process is handed it."""
 
-    scene: str
-    law: str
-    budget: int
-    fixed: Mapping[str, object]
+    search: SearchJob
     ways: tuple[OneWay, OneWay]
-    objective: str
-    seed: int
-    engine: str | None
-    known: tuple[Scored, ...]  # points that the folder holds
+    known: tuple[Scored, ...] = ()  # points that the folder holds
 
 
 class Outlook:
@@ -252,7 +246,7 @@ class LawSearches:
     def __init__(self, jobs: Sequence[LawJob], store: Store | None, workers: int, clock: Callable[[], float],
                  show: Callable[[float, str], None]) -> None:
         self.jobs, self.store, self.workers, self.clock, self.show = jobs, store, workers, clock, show
-        first = jobs[0]
+        first = jobs[0].search
         each = PLAIN * load_scene(first.scene, **first.fixed).ticks
         compiled = find_spec("numba") is not None and first.engine != "plain"
         self.outlook = Outlook(len(jobs), first.budget, min(workers, len(jobs)), COMPILES if compiled else 0.0,
@@ -272,7 +266,7 @@ class LawSearches:
 
     def begin(self, number: int) -> None:
         """Note the start of a law's search."""
-        self.current = self.jobs[number].law
+        self.current = self.jobs[number].search.law
         self.outlook.begin(number, self.clock(), sum(
             (each.stop - each.first) * len(each.score.figures) for each in self.jobs[number].known))
         self.poll()
@@ -282,7 +276,7 @@ class LawSearches:
         if isinstance(part, int):
             self.outlook.rows(number, part, self.clock())
         elif self.store is not None:
-            first, job = self.points[number], self.jobs[number]
+            first, job = self.points[number], self.jobs[number].search
             self.store.append([_cells(number * job.budget + first + i, job.law, each) for i, each in enumerate(part)])
             self.points[number] += len(part)
         self.poll()
@@ -300,19 +294,18 @@ class LawSearches:
 
 def search_law(job: LawJob, send: Callable[[int | list[Scored]], None]) -> LawAdvice:
     """Tune one law, and find the conditions that its best gains break; rows and points are sent as they come."""
-    fixed = dict(job.fixed)
+    search = job.search
     try:
-        scene = load_scene(job.scene, **{**fixed, "law": job.law})
-        playouts = () if "playout" in fixed else playouts_for(scene, job.ways)
+        scene = load_scene(search.scene, **{**search.fixed, "law": search.law})
+        playouts = () if "playout" in search.fixed else playouts_for(scene, job.ways)
         margin = MARGIN if "k_e" in scene.knobs else 1.0
-        tuned = tune_law(job.scene, job.law, job.budget, job.seed, fixed=fixed, objective=job.objective, margin=margin,
-                         playouts=playouts, tell=lambda rows, _: send(rows), workers=1, engine=job.engine,
-                         keep=lambda points: send([*points]), known=job.known)
-        best = load_scene(job.scene, **tuned.knobs)
-        conditions = tuple(unmet(best, job.seed))
+        tuned = LawSearch(search._replace(margin=margin, playouts=playouts), tell=lambda rows, _: send(rows), workers=1,
+                          keep=lambda points: send([*points]), known=job.known).run()
+        best = load_scene(search.scene, **tuned.knobs)
+        conditions = tuple(unmet(best, search.seed))
     except Refused as refused:
-        return LawAdvice(law=job.law, tuned=None, refused=str(refused), knobs={}, claims={})
-    return LawAdvice(law=job.law, tuned=tuned, knobs=knobs_of_fields(type(best.law)), claims=claims_of(best.law),
+        return LawAdvice(law=search.law, tuned=None, refused=str(refused), knobs={}, claims={})
+    return LawAdvice(law=search.law, tuned=tuned, knobs=knobs_of_fields(type(best.law)), claims=claims_of(best.law),
                      seed_energy=seed_energy(best.law, best.dt), broken=conditions)
 
 
@@ -320,13 +313,13 @@ def definition(jobs: Sequence[LawJob]) -> dict[str, Any]:
     """Definition by which the folder of an advice is known again."""
     from teleop.version import __version__
 
-    first, sources = jobs[0], []
-    for job in jobs:
+    first, sources = jobs[0].search, []
+    for job, *_ in jobs:
         try:
             sources.append(plan_sweep(job.scene, fixed={**job.fixed, "law": job.law}).sources)
         except Refused as refused:  # as its search will be
             sources.append(str(refused))
-    axes = [{"knobs": ["law"], "values": [job.law for job in jobs]},
+    axes = [{"knobs": ["law"], "values": [job.search.law for job in jobs]},
             {"knobs": ["point"], "values": {"count": first.budget}}]
     return {"scene": "advise", "of": first.scene, "fixed": {key: json_value(each) for key, each in first.fixed.items()},
             "objective": first.objective, "budget": first.budget, "grid": {"axes": axes, "seeds": [first.seed]},
@@ -337,7 +330,7 @@ def _points(store: Store, jobs: Sequence[LawJob]) -> list[list[Scored]]:
     """The points of each law in the folder, in the order in which its search asked for them."""
     by_law: list[dict[int, Scored]] = [{} for _ in jobs]
     for row in store.rows():
-        law, number = divmod(row["row"], jobs[0].budget)
+        law, number = divmod(row["row"], jobs[0].search.budget)
         by_law[law][number] = Scored(tuple(row["point"]), row["seed"], row["seed"] + row["seeds"], _score(row["score"]))
     return [[points[i] for i in range(len(points)) if i in points] for points in by_law]
 

@@ -20,7 +20,7 @@ from itertools import groupby
 from math import isnan
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.errors import Refused, enumerated, number_of
 from teleop.law.offers import seed_energy
@@ -49,6 +49,9 @@ from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import RowsProgress, shown_for
 from teleop.terminal.table import duration
+
+if TYPE_CHECKING:
+    from teleop.studies.tune.search import SearchJob
 
 WIDE = 120  # columns of what is no terminal
 CSV, SUMMARY = "rows.csv", "summary.json"
@@ -284,24 +287,15 @@ class TunedKnobs(NamedTuple):
     broken: str = ""
 
 
-class SearchJob(NamedTuple):
-    """Search that one process runs: its key, and the arguments of `teleop.studies.tune.search.tune_law`."""
-
-    key: tuple[str, str]  # law and link
-    scene: str
-    law: str
-    budget: int
-    seed: int
-    fixed: Mapping[str, object]
-
-
 def tune_all(comparison: Comparison, budget: int, *, workers: int, show: Show) -> dict[tuple[str, str], TunedKnobs]:
     """Tune each law over each link, by their names. Raises `Refused` for a budget that takes no search."""
+    from teleop.studies.tune.search import SearchJob
+
     where = next(each for each in comparison.environments if each.name == comparison.tune)
     scene = scene_function(where.text)
-    jobs = [SearchJob((law.name, link.name), where.text, law_with_its_numbers(law.text, scene), budget,
-                      comparison.seeds[0],
-                      {**comparison.knobs, **where.knobs, **link.knobs, **law.knobs, "link": link.text})
+    jobs = [((law.name, link.name), SearchJob(
+                where.text, law_with_its_numbers(law.text, scene), budget, comparison.seeds[0],
+                {**comparison.knobs, **where.knobs, **link.knobs, **law.knobs, "link": link.text}, engine="plain"))
             for law in comparison.laws for link in comparison.links]
     show(0, len(jobs))
     tuned: dict[tuple[str, str], TunedKnobs] = {}
@@ -311,16 +305,17 @@ def tune_all(comparison: Comparison, budget: int, *, workers: int, show: Show) -
     return tuned
 
 
-def run_search(job: SearchJob) -> tuple[tuple[str, str], TunedKnobs]:
-    """Run one search."""
-    from teleop.studies.tune.search import tune_law
+def run_search(keyed: tuple[tuple[str, str], SearchJob]) -> tuple[tuple[str, str], TunedKnobs]:
+    """Run the search of one law over one link, by their names."""
+    from teleop.studies.tune.search import LawSearch
     from teleop.studies.tune.strategy import NothingToTune
 
+    key, job = keyed
     try:
-        tuned = tune_law(job.scene, job.law, job.budget, job.seed, fixed=dict(job.fixed), workers=1, engine="plain")
+        tuned = LawSearch(job, workers=1).run()
     except NothingToTune:
-        return job.key, TunedKnobs({})
+        return key, TunedKnobs({})
     except Refused as refused:
-        raise Refused(f"{refused} (law {job.key[0]!r}, link {job.key[1]!r})") from None
+        raise Refused(f"{refused} (law {key[0]!r}, link {key[1]!r})") from None
     best: dict[str, Any] = dict(tuned.best)
-    return job.key, TunedKnobs(best, "" if tuned.feasible else tuned.score.broken)
+    return key, TunedKnobs(best, "" if tuned.feasible else tuned.score.broken)

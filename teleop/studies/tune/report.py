@@ -21,7 +21,7 @@ from teleop.simulation.result import head
 from teleop.storage.files import replacing_text
 from teleop.studies.margin import Margin
 from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, Score
-from teleop.studies.tune.search import Tuned, tune_law
+from teleop.studies.tune.search import LawSearch, SearchJob, Tuned
 from teleop.terminal.answer import Answer, Task, WithUnit, command_of, finite, with_units
 from teleop.terminal.options import knobs_from
 from teleop.terminal.plotting import BLACK, BLUE, ORANGE, PALE, grid_lines, literal, new_figure, save
@@ -45,9 +45,9 @@ def find(args: Namespace) -> Task:
 
     def work() -> Answer:
         with shown_for(args, args.budget) as show:
-            tuned = tune_law(args.scene, args.law, args.budget, args.seed, fixed=knobs_from(args), playouts=playouts,
-                             objective=args.objective, margin=args.margin, tell=show, workers=args.workers,
-                             engine=args.engine)
+            job = SearchJob(args.scene, args.law, args.budget, args.seed, knobs_from(args), args.objective, args.margin,
+                            playouts, args.engine)
+            tuned = LawSearch(job, tell=show, workers=args.workers).run()
         return Answer(text(tuned), document(tuned, args.typed), plots={"tune": partial(draw, tuned)}, files={
             "points.csv": partial(write_points, tuned.names, tuned.tried),
             "front.csv": partial(write_points, tuned.names, tuned.front())})

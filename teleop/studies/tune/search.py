@@ -159,34 +159,37 @@ class Tuned:
         return front
 
 
-def tune_law(
-    scene: str, law: str, budget: int, seed: int = 0, *, fixed: Mapping[str, object] | None = None,
-    objective: str = "balanced", margin: float = 1.0, playouts: Sequence[str] = (), tell: Tell | None = None,
-    workers: int | None = None, engine: str | None = None, keep: Keep | None = None, known: Sequence[Scored] = (),
-) -> Tuned:
-    """Search the parameters of `law` (as `--set law=` takes it) in `scene`, in at most `budget` rows of a sweep.
+class SearchJob(NamedTuple):
+    """The law that is searched, in what scene, to what end, and in how many rows."""
 
-    `fixed`: knobs of the scene that are set, the link among them; a knob of the law that is set is not searched.
-    `margin`: factor by which the environment may be stiffer (knob k_e) with all constraints still kept; 1: none.
-    `playouts`: texts that the playout may be, tried as a further parameter; left out, the scene's. `seed` keys all
-    draws of the search, and is the first seed of the link; the seeds after the search's own are for the check. `tell`
-    is called with the rows done. `keep` is handed points as they are run; a search with the same arguments that is
+    scene: str
+    law: str  # as --set law= takes it
+    budget: int  # rows of a sweep, at most
+    seed: int = 0  # keys all draws of the search, and is the first seed of the link; those after are for the check
+    fixed: Mapping[str, object] = {}  # knobs that are set, the link among them; one of the law is not searched
+    objective: str = "balanced"
+    margin: float = 1.0  # factor by which k_e may be greater with all constraints still kept; 1: none
+    playouts: Sequence[str] = ()  # texts that the playout may be, a further parameter; none: the scene's
+    engine: str | None = None
+
+
+class LawSearch:
+    """Search of one law: the knobs that are searched, the points run so far, and the rows that are left.
+
+    `tell` is called with the rows done. `keep` is handed points as they are run; a search of the same job that is
     handed them as `known`, in that order, does not run them again. Raises `Refused`, and `NothingToTune` for a law
     without a number to change.
     """
-    return LawSearch(scene, law, budget, seed, dict(fixed or {}), objective, margin, tuple(playouts), tell, workers,
-                     engine, keep, known).run()
-class LawSearch:
-    """Search of one law: the knobs that are searched, the points run so far, and the rows that are left."""
 
-    def __init__(self, scene: str, law: str, budget: int, seed: int, fixed: dict[str, object], objective: str,
-                 wanted: float, playouts: tuple[str, ...], tell: Tell | None, workers: int | None, engine: str | None,
-                 keep: Keep | None, known: Sequence[Scored]) -> None:
+    def __init__(self, job: SearchJob, *, tell: Tell | None = None, workers: int | None = None,
+                 keep: Keep | None = None, known: Sequence[Scored] = ()) -> None:
+        scene, law, budget, seed, _, objective, wanted, playouts, engine = job
+        fixed = dict(job.fixed)
         if "law" in fixed:
             raise Refused(f"law={fixed['law']} is set beside the law that is tuned, {law}; leave one of them out")
-        self.name, self.law, self.budget, self.seed, self.tell = scene, law, budget, seed, tell
-        self.goal = find_objective(objective)
-        self.objective = objective
+        self.name, self.law, self.budget, self.seed = scene, law, budget, seed
+        self.tell, self.keep, self.known, self.workers = tell, keep, known, workers
+        self.goal, self.objective = find_objective(objective), objective
         scene_knobs = knobs_of(scene_function(scene))
         if "energy" in scene_knobs and "energy" not in fixed:
             fixed["energy"] = True
@@ -203,13 +206,12 @@ class LawSearch:
         self.ranges = ranges_of(self.scene.law, [name for name in fixed if name.startswith("law.")])
         self._fit_followers()
         self.spans: dict[str, Range | tuple[str, ...]] = dict(self.ranges.searched)
-        self.playouts = playouts if len(playouts) > 1 else ()
+        self.playouts = tuple(playouts) if len(playouts) > 1 else ()
         if self.playouts:
             self.spans["playout"] = self.playouts
         self.names = tuple(self.spans)
-        self.soft = {knob: value for knob, value in SOFT.items() if knob in scene_knobs} if "k_e" in scene_knobs else {}
-        if self.baseline.pressed == 0.0:
-            self.soft = {}
+        self.soft = {knob: value for knob, value in SOFT.items() if knob in scene_knobs
+                     } if "k_e" in scene_knobs and self.baseline.pressed != 0.0 else {}
         self.margin = number("margin", wanted, low=1.0)
         if wanted > 1.0 and not self.soft:
             raise Refused(f"a margin of {wanted:g} is that of the environment's stiffness, and scene {scene} has no "
@@ -229,8 +231,7 @@ class LawSearch:
                           f"takes ({', '.join(self.tasks)}); write for example --budget 200")
         self.engine = engine or choose(None, self.scene, max(budget, 16), self.measures)[0]
         self.engine = "scalar" if self.engine == "vector" and engine is None and budget < SIDE_BY_SIDE else self.engine
-        self.workers = workers
-        self.keep, self.known, self.rows, self.requested = keep, known, 0, 0
+        self.rows = self.requested = 0
         self.scores: dict[Point, Score] = {}
         self.stable: dict[Point, bool] = {}  # points with their linear loop tried
         self.varies = (self.scene.link is not None and varies(self.scene.link)) or any(

@@ -14,7 +14,7 @@ from teleop.studies.advise.advice import Advice, advise, score_changes
 from teleop.studies.advise.laws import MARGIN, Outlook, one_way, playouts_for
 from teleop.studies.advise.report import avoid, text
 from teleop.studies.tune.objective import SCENE
-from teleop.studies.tune.search import LawSearch, tune_law
+from teleop.studies.tune.search import LawSearch, SearchJob
 from teleop.studies.tune.strategy import value_at
 from teleop.sweeps.grid import Range, sampled
 from teleop.terminal.table import si
@@ -97,14 +97,13 @@ def test_rows_that_were_there_are_no_measure_of_the_time_that_is_left() -> None:
     assert outlook.time_left(20.0, busy=3.0) == pytest.approx(30.0)
 
 
-def searching(law: str, link: str) -> tuple[dict[str, Any], LawSearch]:
-    """The arguments of a search over a link as `advise` makes them, and one that has not begun."""
+def searching(law: str, link: str) -> tuple[SearchJob, LawSearch]:
+    """A search over a link as `advise` makes them, and one that has not begun."""
     fixed = {"k_e": 2000.0, "link": link}
     scene = load_scene("hard_wall", **fixed, law=law)
     playouts = playouts_for(scene, (one_way(scene, 0, 0), one_way(scene, 1, 0)))
-    return ({"fixed": fixed, "margin": MARGIN, "playouts": playouts, "workers": 1},
-            LawSearch("hard_wall", law, 10**6, 0, dict(fixed), "balanced", MARGIN, playouts, None, 1, "vector", None,
-                      ()))
+    job = SearchJob("hard_wall", law, 12_000, fixed=fixed, margin=MARGIN, playouts=playouts)
+    return job, LawSearch(job._replace(budget=10**6, engine="vector"), workers=1)
 
 
 def best_of_random(search: LawSearch, count: int) -> tuple[Any, ...]:
@@ -131,8 +130,8 @@ def test_a_search_was_worse_than_the_best_of_5000_random_points(law: str, link: 
 
     The links were not used while the search was written.
     """
-    given, search = searching(law, link)
-    tuned = tune_law("hard_wall", law, 12_000, **given)
+    job, search = searching(law, link)
+    tuned = LawSearch(job, workers=1).run()
     theirs = best_of_random(search, 5000)
     ours = tuple([tuned.best[name] for name in search.names])
     found, reference = search._score_points([ours, theirs], JUDGES)

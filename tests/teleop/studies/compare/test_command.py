@@ -16,7 +16,7 @@ from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from teleop.studies.compare.command import CaseBatch, ending_of, run_batch
 from teleop.studies.margin import margin
-from teleop.studies.tune.search import tune_law
+from teleop.studies.tune.search import LawSearch, SearchJob
 
 SMALL = """
 seeds = 2
@@ -161,7 +161,7 @@ def test_tuned_laws_run_everywhere_with_what_tune_finds_for_each_link(capsys: py
     told = json.loads(capsys.readouterr().out)
     assert told["tuned"] == 8
     fixed = {"x_limit": 0.3, "duration": 0.4, "link": "delay(0.01)"}
-    best = tune_law("soft_tissue", "wave", 8, 0, fixed=fixed, engine="plain").best
+    best = LawSearch(SearchJob("soft_tissue", "wave", 8, fixed=fixed, engine="plain")).run().best
     row = next(one for one in rows_of("runs/small") if (one["law"], one["link"], one["environment"]) == (
         "wave", "10 ms", "free"))
     assert all(f"--set {name}={value}" in row["command"] for name, value in best.items())

@@ -12,13 +12,15 @@ from teleop.errors import Refused
 from teleop.simulation.notes import unmet
 from teleop.studies.margin import margin
 from teleop.studies.tune.objective import Score
-from teleop.studies.tune.search import LawSearch, Scored, Tuned, tune_law
+from teleop.studies.tune.search import LawSearch, Scored, SearchJob, Tuned
 
 SHORT: dict[str, Any] = {"k_e": 2000.0, "duration": 2.5}
 
 
 def tuned(law: str = "wave", budget: int = 16, **others: Any) -> Tuned:
-    return tune_law("hard_wall", law, budget, **{"fixed": dict(SHORT), "workers": 1, **others})
+    how = {name: others.pop(name) for name in ("tell", "workers", "keep", "known") if name in others}
+    job = SearchJob("hard_wall", law, budget, **{"fixed": dict(SHORT), **others})
+    return LawSearch(job, **{"workers": 1, **how}).run()
 
 
 @pytest.fixture(scope="module")
