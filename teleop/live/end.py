@@ -211,7 +211,7 @@ def _report_fault(shell: Shell, folder: Path) -> int:
 
 
 def _report_event(e: str, event: Event) -> None:
-    tell("event", end=e, **event._asdict())
+    tell("event", end=e, **event.document(), cause=event.cause and event.cause.name)
 
 
 def _turned(args: Namespace, knobs: dict[str, str]) -> tuple[Scene, dict[str, str], dict[str, str]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused, enumerated, number_of, plural
+from teleop.live.process.realtime import is_refused
 from teleop.live.records.end_result import NAMES, WAYS, end_result
 from teleop.live.records.reader import FILE, read_noted
 from teleop.live.records.record import read_events
@@ -153,8 +154,7 @@ def _allow(realtime: dict[str, str] | None) -> list[str]:
     """Advice to allow real-time scheduling, where there was none."""
     if realtime is None:
         return ["real-time scheduling (without --no-realtime)"]
-    refused = realtime["scheduler"].startswith("no ")
-    return ["real-time scheduling (`teleop doctor` says how to allow it)"] * refused
+    return ["real-time scheduling (`teleop doctor` says how to allow it)"] * is_refused(realtime["scheduler"])
 
 
 def holds_on(shell: Shell) -> bool:

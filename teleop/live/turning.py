@@ -31,11 +31,12 @@ from teleop.live.records.record import RecordWriter, RunFolder
 from teleop.live.shell import EndCounts, Shell
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.guard import Event
+from teleop.protocol.session import CLUTCH, TURN
+from teleop.protocol.states import Cause
 from teleop.scene.scene import Scene
 from teleop.storage.folder import claim
 
 LOOK = 0.004  # s between two looks at how far a turn has come
-CLUTCH, TURN = "the clutch is open", "a turn"
 
 Load = Callable[[dict[str, str]], tuple[Scene, dict[str, str], dict[str, str]]]
 """From knobs as texts to the scene, the knobs of its record and its manifest. Raises `Refused`."""
@@ -91,7 +92,7 @@ class Turning:
 
     def _clutch(self, is_open: bool) -> None:
         if is_open:
-            self._shell.endpoint.session.end(CLUTCH)
+            self._shell.endpoint.session.end(CLUTCH, Cause.ORDERED)
             self._wait(CLUTCH)
         else:
             self._go_on(CLUTCH)
@@ -99,7 +100,7 @@ class Turning:
     def _begin(self, order: dict[str, Any]) -> None:
         self._next = order
         self._wait(TURN)
-        self._shell.endpoint.session.end(TURN)
+        self._shell.endpoint.session.end(TURN, Cause.ORDERED)
         self._look()
 
     def _wait(self, why: str) -> None:

@@ -84,7 +84,8 @@ UNNAMED = Watchdog(timeout=0.8)
 """What a live end has where the scene names no watchdog."""
 
 _NEVER = 1 << 62  # ticks
-_QUIET = frozenset((Cause.SILENCE, Cause.NO_ANSWER, Cause.SESSION_OVER, Cause.NEW_SESSION))  # no event when safe
+_QUIET = frozenset((Cause.SILENCE, Cause.NO_ANSWER, Cause.SESSION_OVER, Cause.ORDERED, Cause.ASKED_AGAIN,
+                    Cause.NEW_SESSION))  # no event when safe
 MOST_EVENTS = 10_000  # kept
 
 
@@ -94,6 +95,11 @@ class Event(NamedTuple):
     k: int
     what: str  # "joined", "session", "safe", "released"; of others "met", "watchdog", "clutch", "present"
     why: str
+    cause: Cause | None = None  # of "safe"
+
+    def document(self) -> dict[str, int | str]:
+        """The event as a record has it."""
+        return {"k": self.k, "what": self.what, "why": self.why}
 
 
 class ForceGuard:
@@ -254,10 +260,10 @@ class ForceGuard:
         self._shareless = 0 if self.gain > 0.0 else self._shareless + passed
         return self.gain
 
-    def tell(self, k: int, what: str, why: str) -> None:
+    def tell(self, k: int, what: str, why: str, cause: Cause | None = None) -> None:
         """Note an event."""
         if len(self.events) < MOST_EVENTS:
-            self.events.append(Event(k, what, why))
+            self.events.append(Event(k, what, why, cause))
             self.new_events.append(self.events[-1])
 
     def take_events(self) -> list[Event]:
@@ -270,7 +276,7 @@ class ForceGuard:
         if before is None or not (reason.cause is before.cause or reason.cause in _QUIET):
             self.entries += not self.safe
             self.safe = True
-            self.tell(k, "safe", reason.why)
+            self.tell(k, "safe", reason.why, reason.cause)
 
 
 BLIND_NS = 100_000_000  # the longest that a force is held without a reading

@@ -118,6 +118,7 @@ class Liveness:
 
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
 OVER = "the session is over"
+CLUTCH, TURN = "the clutch is open", "a turn"  # reasons of a person; the other end has them in RENEW
 FINISHED = "finished"  # the farewell of an end that ran to its end: no reason for the other to stop
 NEXT = 16  # numbers: a HELLO of one of these after a session's own is of its master, who renews it
 ROOM = 96  # bytes: what a WELCOME says beyond its HELLO
@@ -221,7 +222,8 @@ class Session:
         if kind is Kind.START:
             self.take(SessionEvent.START)
         elif kind is Kind.RENEW:
-            self.end(f"{OVER}: {packet.payload}")
+            ordered = packet.payload in (CLUTCH, TURN)
+            self.end(f"{OVER}: {packet.payload}", Cause.ORDERED if ordered else Cause.SESSION_OVER)
         elif kind is Kind.REFUSE and self.take(SessionEvent.REFUSE):
             self.failure = str(packet.payload)
         elif kind is Kind.BYE and self.take(SessionEvent.BYE):
@@ -343,7 +345,7 @@ class Session:
 
     def _answer_hello(self, hello: Packet, now: int, room: int) -> list[bytes]:
         if not self._is_free(now):
-            self.end(f"{OVER}: the master asks for another")
+            self.end(f"{OVER}: the master asks for another", Cause.ASKED_AGAIN)
             return []
         if not self.take(SessionEvent.HELLO):
             return []

@@ -58,6 +58,8 @@ class Cause(Enum):
     DEVICE = "the device fails, or its reading is not finite"
     CLOCK = "the clock of the grid of ticks went back"
     SESSION_OVER = "the session is over"
+    ORDERED = "a person ended the session, at this end or the other: another law is to come, or the clutch is open"
+    ASKED_AGAIN = "the session is over, for the master asks for another"
     STOOD_STILL = "the session is over, for this end stood still"
     NEW_SESSION = "another session begins, or the first one away from where the scene begins"
 

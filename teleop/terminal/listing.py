@@ -250,6 +250,7 @@ class LawLine:
 
     fwd: str
     bwd: str
+    waves: bool  # is any of them a wave
     claims: Mapping[str, str]
     seed: float | None  # None: it keeps no energy
 
@@ -264,12 +265,14 @@ def law_line(law: Any) -> LawLine | None:
     """Line on a law; None for a one-port law, which sends and claims nothing."""
     if not hasattr(law, "master"):
         return None
-    fwd, bwd = (_fields(message) for message in messages(law))
-    return LawLine(fwd=fwd, bwd=bwd, claims=claims_of(law), seed=seed_energy(law) if stores(law) else None)
+    both = [kinds(message) for message in messages(law)]
+    fwd, bwd = map(_fields, both)
+    waves = any("wave" in one.values() for one in both)
+    return LawLine(fwd=fwd, bwd=bwd, waves=waves, claims=claims_of(law), seed=seed_energy(law) if stores(law) else None)
 
 
-def _fields(message: type[Any]) -> str:
-    fields = [name if kind == "sample" else f"{kind} {name}" for name, kind in kinds(message).items()]
+def _fields(message: Mapping[str, str]) -> str:
+    fields = [name if kind == "sample" else f"{kind} {name}" for name, kind in message.items()]
     return ", ".join(fields) or "nothing"
 
 
@@ -294,7 +297,7 @@ def law_rows(meanings: Mapping[str, str]) -> tuple[list[dict[str, Any]], list[st
 def _condition(condition: str, line: LawLine) -> str:
     """A claim's condition in words; of a law without waves nothing of how they are played."""
     words = CONDITIONS[condition]
-    return words if "wave " in line.fwd + line.bwd else words.partition(", with waves")[0]
+    return words if line.waves else words.partition(", with waves")[0]
 
 
 def law_words(law: Any) -> tuple[list[str], dict[str, Any]]:

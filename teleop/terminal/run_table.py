@@ -178,7 +178,7 @@ def _scheduling(result: Result) -> Iterator[str]:
     scheduling = {end: ", ".join(f"{name} {what}" for name, what in report["realtime"].items())
             if report.get("realtime") else "ordinary scheduling, real-time scheduling was not asked for"
             for end, report in _live_ends(result)
-            if "realtime" in report or "made from its record" not in str(report.get("sentence"))}
+            if "sealed" in report}
     if len({*scheduling.values()}) == 1 and len(scheduling) > 1:
         yield f"both ends: {next(iter(scheduling.values()))}"
     else:

@@ -69,8 +69,8 @@ def linear_scene(scene: Scene, *, seed: int = 0) -> LinearScene:
     refuse_nonlinear_parts(scene)
     for name in ("device_m", "device_s"):
         if (device := scene.per_axis(name)[0]) is not None and device.every > 1:
-            raise Refused(f"{name} renews its force every {device.every} ticks, so the loop is not time-invariant; "
-                          f"{INSTEAD}, or {without(scene, 'set every=1', every='1')}")
+            raise NotLinear(f"{name} renews its force every {device.every} ticks, so the loop is not time-invariant",
+                            f", or {without(scene, 'set every=1', every='1')}")
     forth, back = link_ticks(scene, seed)
     return LinearScene(_end(scene, "m", back), _end(scene, "s", forth), forth, back, scene.dt_ns / 1e9)
 
@@ -95,6 +95,17 @@ def about_rest(scene: Scene) -> Scene:
     return replace(scene, environment=tuple(getattr(one, "environment", one) for one in scene.environments))
 
 
+class NotLinear(Refused):
+    """A refusal of a scene that has no eigenvalues: why, and what to type in place of --time, if anything helps."""
+
+    def __init__(self, why: str, way_out: str = "") -> None:
+        super().__init__(why, way_out)
+        self.why, self._way_out = why, way_out
+
+    def __str__(self) -> str:
+        return f"{self.why}; {INSTEAD}{self._way_out}"
+
+
 class InTheWay(NamedTuple):
     """A part of a scene that is not linear: its name in a sentence, and what takes it out, typed or in words."""
 
@@ -108,11 +119,11 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
     an encoder, friction and environments not linear, with the law if that is neither."""
     if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         words = "leave left_out_m and left_out_s away; in place of a recorded link give --link 'delay(0.05)'"
-        raise Refused("ticks are left out, so the loop is not time-invariant and its scene has no eigenvalues; "
-                      f"{INSTEAD}, or {without(scene, words, left_out='0')}")
+        raise NotLinear("ticks are left out, so the loop is not time-invariant and its scene has no eigenvalues",
+                        f", or {without(scene, words, left_out='0')}")
     if isinstance(gaps := scene.wave_playout, Integral) and gaps.target > 0.0:
-        raise Refused(f"the playout {as_typed(scene.played_as)} keeps a queue of waves, which lags as their energy has "
-                      f"it, so its scene has no eigenvalues; {INSTEAD}, or leave the seconds of the queue out")
+        raise NotLinear(f"the playout {as_typed(scene.played_as)} keeps a queue of waves, which lags as their energy "
+                        "has it, so its scene has no eigenvalues", ", or leave the seconds of the queue out")
     parts, bare = _nonlinear_parts(scene)
     sums = any(hasattr(scene.laws[0], f"{end}_sums") for end in ("master", "slave"))
     if sums and scene.rotations:
@@ -124,12 +135,12 @@ def refuse_nonlinear_parts(scene: Scene) -> None:
     if len(parts) == 1:
         (one,) = parts
         way_out = f", or {f'leave it out with {one.typed}' if one.typed else one.words}"
-        raise Refused(f"{one.what} is not linear, so the scene has no eigenvalues; {INSTEAD}{way_out}")
+        raise NotLinear(f"{one.what} is not linear, so the scene has no eigenvalues", way_out)
     typed = " ".join(each.typed for each in parts if each.typed)
     cures = [*[f"make it linear with {typed}"] * bool(typed), *[each.words for each in parts if not each.typed]]
     way_out = f", or {' and '.join(cures)}" if all(cures) else ""  # a law that is never linear has none
-    raise Refused(f"{enumerated([each.what for each in parts])} are not linear, so the scene has no eigenvalues; "
-                  f"{INSTEAD}{way_out}")
+    raise NotLinear(f"{enumerated([each.what for each in parts])} are not linear, so the scene has no eigenvalues",
+                    way_out)
 
 
 def _nonlinear_parts(scene: Scene) -> tuple[list[InTheWay], Scene]:
@@ -235,8 +246,8 @@ def link_ticks(scene: Scene, seed: int = 0) -> tuple[int, int]:
         np.minimum.at(soonest, arrivals.packet, lag)
         played = np.maximum(soonest, fixed)
         if (played != played[0]).any() or not 0 < played[0] <= (fixed or 1 << 62):
-            raise Refused("the link does not bring every packet after the same number of ticks, so the loop is not "
-                          f"time-invariant; {INSTEAD}, or write for example --link 'delay(0.05)'")
+            raise NotLinear("the link does not bring every packet after the same number of ticks, so the loop is not "
+                            "time-invariant", ", or write for example --link 'delay(0.05)'")
         columns.append(int(played[0]))
     return columns[0], columns[1]
 
@@ -373,17 +384,17 @@ def _end(scene: Scene, e: str, age: int) -> StateSpace:
     return StateSpace(jacobian[:n, :n], jacobian[:n, n:], jacobian[n:, :n], jacobian[n:, n:])
 
 
-def not_linear(scene: Scene, e: str) -> Refused:
+def not_linear(scene: Scene, e: str) -> NotLinear:
     """The answer to a law that is not linear at one of its ends."""
     device = scene.per_axis(f"device_{e}")[0]
     estimator = device and device.velocity
     if estimator is not None and not is_linear(estimator, scene.dt_ns / 1e9):
-        return Refused(f"the velocity estimator {type(estimator).__name__} is not linear, so the scene has no "
-                       f"eigenvalues; {INSTEAD}, or {linear_estimator(scene)}")
+        return NotLinear(f"the velocity estimator {type(estimator).__name__} is not linear, so the scene has no "
+                         "eigenvalues", f", or {linear_estimator(scene)}")
     name = law_name(scene.laws[0])
     hint = linear_hint(scene.laws[0], ", or write ")
     where = "where it is in contact" if scene.slave is None else f"at the {NAMES[e]}"
-    return Refused(f"law {name} is not linear {where}, so the scene has no eigenvalues; {INSTEAD}{hint}")
+    return NotLinear(f"law {name} is not linear {where}, so the scene has no eigenvalues", hint)
 
 
 def is_linear(estimator: Any, dt: float) -> bool:

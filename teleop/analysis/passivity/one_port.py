@@ -267,21 +267,18 @@ def one_port(scene: Scene) -> RenderedImpedance:
 def _controller(scene: Scene, T: float) -> Impedance:
     import numpy as np
 
-    from teleop.analysis.models.linear import INSTEAD, is_linear
+    from teleop.analysis.models.linear import NotLinear, is_linear
     from teleop.analysis.models.one_port_loop import controller
 
     try:
         rendered = controller(scene)
-    except Refused as refused:
-        why, _, rest = str(refused).partition(f"; {INSTEAD}")
-        if rest or INSTEAD in str(refused):
-            velocity = scene.device_m and scene.device_m.velocity
-            linear = "law, for example --set law=virtual_wall"
-            if velocity is not None and not is_linear(velocity, T):
-                linear = "one, --set 'velocity=backward_difference()'"
-            raise Refused(f"{why}; take a linear {linear}, or run it with teleop run and energy in the scene, which "
-                          "sums what its port takes and gives") from None
-        raise
+    except NotLinear as refused:
+        velocity = scene.device_m and scene.device_m.velocity
+        linear = "law, for example --set law=virtual_wall"
+        if velocity is not None and not is_linear(velocity, T):
+            linear = "one, --set 'velocity=backward_difference()'"
+        raise Refused(f"{refused.why}; take a linear {linear}, or run it with teleop run and energy in the scene, "
+                      "which sums what its port takes and gives") from None
     if (np.abs(np.linalg.eigvals(rendered.A)) > 1.0 + 1e-6).any():
         raise Refused("the controller grows by itself, whatever it is joined to, so no damping makes it passive; try a "
                       "simulated tool of more mass, or backward Euler, --set law.theta_f=1 --set law.theta_x=1")

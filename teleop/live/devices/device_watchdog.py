@@ -344,7 +344,7 @@ def _run_before_end(priority: int | None) -> None:
 
 def _report(text: str, k: int, folder: Path) -> None:
     with suppress(OSError), (folder / EVENTS).open("a") as file:
-        file.write(json.dumps(Event(k, "watchdog", text)._asdict()) + "\n")
+        file.write(json.dumps(Event(k, "watchdog", text).document()) + "\n")
     print(f"device watchdog: {text}", file=sys.stderr, flush=True)
 
 

@@ -16,7 +16,7 @@ from teleop.live.page.session import Children, PageParts, Start
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.reader import Row
-from teleop.protocol.session import OVER
+from teleop.protocol.states import Cause
 from teleop.storage.strict_json import Misshapen, json_text
 
 PERIOD = 1.0 / 60.0  # s between two pictures, and two orders to the hand, at least
@@ -24,7 +24,7 @@ STATUS = 0.25  # s between two messages on the link's state
 SILENT = 1.0  # s without a row, and an end is reported as lost, though its process lives
 SOON = 5.0  # s after a process was started anew: if it is lost again by then, a person has to start it
 ENDS = ("slave", "master")
-EXPECTED = ("a turn", "a new session", "the clutch is open", "the master asks for another")
+EXPECTED = (Cause.ORDERED.name, Cause.NEW_SESSION.name, Cause.ASKED_AGAIN.name)
 """Causes of a safe state that are no news here, whether the end had the order itself or its peer reports it."""
 
 
@@ -286,7 +286,7 @@ class Page:
         if what == "met" and name == "master":
             self._aligns = False
             self._clutch.begin_session(event["k"])
-        if what == "safe" and event["why"].removeprefix(f"{OVER}: ") not in EXPECTED and not self._lost:
+        if what == "safe" and event["cause"] not in EXPECTED and not self._lost:
             self._safe.add(name)
             self._tell("warn", f"the {name}: the force is on its way to zero, {event['why']}")
         elif what == "released" and name in self._safe:

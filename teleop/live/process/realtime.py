@@ -40,13 +40,14 @@ AWAKE_S = 0.5  # s of processor time without a sleep, after which the process is
 KILLED_S = 2.0  # the same, after which the system kills it
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
 GIVEN_BACK = f"given back, as the loop did not sleep for {AWAKE_S:g} s of processor time"
+_REFUSED = "no "  # begins what a report has in place of a right
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CONTAINER = (Path("/.dockerenv"), Path("/run/.containerenv"))
 _LIMITS = Path("/etc/security/limits.d")  # of pam_limits
 
 
 class Granted(NamedTuple):
-    """Scheduling and memory that the system gave. A text begins with "no" where it refused; then `priority` is None."""
+    """Scheduling and memory that the system gave. See `is_refused`; without scheduling `priority` is None."""
 
     scheduler: str
     memory: str
@@ -55,7 +56,7 @@ class Granted(NamedTuple):
     @property
     def whole(self) -> bool:
         """True if nothing was refused."""
-        return not any(text.startswith("no ") for text in (self.scheduler, self.memory))
+        return not (is_refused(self.scheduler) or is_refused(self.memory))
 
 
 class RealTime:
@@ -155,7 +156,7 @@ def sentence(report: dict[str, str]) -> str:
     'real-time scheduling: SCHED_FIFO, priority 40; memory locked'
     """
     text = f"real-time scheduling: {report['scheduler']}; memory {report['memory']}"
-    if not any(each.startswith("no ") for each in report.values()) or not hasattr(os, "sched_setscheduler"):
+    if not any(map(is_refused, report.values())) or not hasattr(os, "sched_setscheduler"):
         return text
     return f"{text}; {cure()}, or leave it with --no-realtime"
 
@@ -183,8 +184,13 @@ def capable(number: int) -> bool:
     return bool(int(held, 16) >> number & 1)
 
 
+def is_refused(granted: str) -> bool:
+    """True of the text of a right that the system refused, in a report."""
+    return granted.startswith(_REFUSED)
+
+
 def _refused(error: BaseException) -> str:
-    return f"no ({getattr(error, 'strerror', None) or 'not on this system'})"
+    return f"{_REFUSED}({getattr(error, 'strerror', None) or 'not on this system'})"
 
 
 def _this_thread() -> int:

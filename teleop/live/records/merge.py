@@ -288,7 +288,8 @@ def _last(record: EndRecord) -> int:
 
 
 def _killed(end: dict[str, Any]) -> bool:
-    return _MADE in end["sentence"]
+    """True if the process of an end left no summary, so that its own was made from its record."""
+    return "recovered" in end and end["status"] == "stopped"
 
 
 def _within(

@@ -81,7 +81,7 @@ class RecordWriter:
             return
         try:
             with (self._folder / EVENTS).open("a") as file:
-                file.write(json.dumps(event._asdict()) + "\n")
+                file.write(json.dumps(event.document()) + "\n")
         except OSError as error:
             self.trouble = f"the record of events stopped at row {self._count}: {error.strerror or error}"
 

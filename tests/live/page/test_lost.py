@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from teleop.errors import Refused
+from teleop.protocol.states import Cause
 from tests.live.page.conftest import Served
 from tests.waiting import PATIENCE
 
@@ -115,8 +116,10 @@ def test_a_turn_of_which_an_end_hears_from_the_other_first_is_no_warning(served:
     async def scenario(page: Served) -> None:
         async with page.open() as browser:
             await browser.until("rows")
-            for why in ("the session is over: a turn", "silence: no fresh packet for 0.2 s"):
-                page.page._hear("master", {"event": "event", "end": "m", "k": 1, "what": "safe", "why": why})
+            for cause, why in ((Cause.ORDERED, "the session is over: a turn"),
+                               (Cause.SILENCE, "silence: no fresh packet for 0.2 s")):
+                page.page._hear("master", {"event": "event", "end": "m", "k": 1, "what": "safe", "why": why,
+                                           "cause": cause.name})
             await browser.told("silence")
             assert [message["text"] for message in browser.got if message["type"] == "said"] == [
                 "the master: the force is on its way to zero, silence: no fresh packet for 0.2 s"]

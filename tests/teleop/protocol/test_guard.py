@@ -53,7 +53,7 @@ def test_silence_for_longer_than_the_timeout_lets_go_along_the_ramp() -> None:
     assert not one.safe
     assert play(one, range(110, 117), got=False) == pytest.approx([*DOWN, 0.0, 0.0])
     assert (one.safe, one.entries, one.cause) == (True, 1, one.events[0].why)
-    assert one.events == [Event(110, "safe", "silence: no fresh packet for 0.1 s")]
+    assert one.events == [Event(110, "safe", "silence: no fresh packet for 0.1 s", Cause.SILENCE)]
 
 
 def test_silence_counts_from_the_start_of_the_run_where_the_scene_names_a_watchdog() -> None:
@@ -302,7 +302,7 @@ def test_a_tick_without_a_reading_is_one_of_the_guard_all_the_same() -> None:
     for k in range(1, 5):
         end.left_out(k, "the device: no answer")
     assert end.guard.gain == 0.0
-    assert end.guard.events == [Event(1, "safe", "the device: no answer")]
+    assert end.guard.events == [Event(1, "safe", "the device: no answer", Cause.DEVICE)]
 
 
 # An end that ticks at every n-th tick

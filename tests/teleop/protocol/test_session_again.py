@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from teleop.protocol.estimates import LEAD_NS, ROUNDS
 from teleop.protocol.manifest import EVERY, MOST_EVERY, TICK_0
 from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, decode, encode
-from teleop.protocol.session import FIRST_NS, RENEW_NS, Session
+from teleop.protocol.session import CLUTCH, FIRST_NS, RENEW_NS, TURN, Session
+from teleop.protocol.states import Cause
 from tests.teleop.protocol.test_session import MANIFEST, MS, Talk, hello, start_of, started
 
 
@@ -376,7 +377,7 @@ def test_ends_that_are_turned_one_after_the_other_meet_again_when_both_are(first
     other = "slave" if first == "master" else "master"
     for end, until in ((first, 5000), (other, 8000)):
         session = getattr(talk, end)
-        session.end("a turn")
+        session.end(TURN, Cause.ORDERED)
         session.manifest = {**MANIFEST, "law": "another"}
         talk.run(until * MS)
         assert (talk.master.met, talk.slave.met) == ((1, 1) if end == first else (2, 2))
@@ -385,13 +386,23 @@ def test_ends_that_are_turned_one_after_the_other_meet_again_when_both_are(first
     assert talk.master.number == talk.slave.number
 
 
+@pytest.mark.parametrize("why", [TURN, CLUTCH])
+def test_an_order_to_the_slave_was_told_to_the_master_in_words_alone(why: str) -> None:
+    talk = Talk()
+    talk.run(2000 * MS)
+    talk.slave.end(why, Cause.ORDERED)
+    while talk.master.ended is None:
+        talk.run(talk.now + 10 * MS)
+    assert talk.master.ended == (Cause.ORDERED, f"the session is over: {why}")
+
+
 @pytest.mark.parametrize("holds", ["master", "slave"])
 def test_no_session_follows_while_either_end_may_not_renew_it(holds: str) -> None:
     talk = Talk()
     talk.run(2000 * MS)
     getattr(talk, holds).renews = False
     for end in (talk.master, talk.slave):
-        end.end("the clutch is open")
+        end.end(CLUTCH, Cause.ORDERED)
     talk.run(9000 * MS)
     assert (talk.master.met, talk.slave.met) == (1, 1)
     getattr(talk, holds).renews = True

@@ -127,15 +127,19 @@ class TestTable:
             "master: round trip 100 ms, jitter 100 us, 2557 missing or not sent, 0 out of order"]
 
     def test_tells_what_each_live_end_was_given_of_real_time_scheduling(self, wave: Result) -> None:
-        given = {"realtime": {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}}
+        given = {"realtime": {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}, "sealed": False}
         told = rows(replace(wave, mode="live", extra={"master": given, "slave": given}))
         assert told["real time"] == ["both ends: scheduler SCHED_FIFO, priority 40, memory locked"]
-        told = rows(replace(wave, mode="live", extra={"master": {}, "slave": given}))
+        told = rows(replace(wave, mode="live", extra={"master": {"sealed": True}, "slave": given}))
         assert told["real time"][0] == "master: ordinary scheduling, real-time scheduling was not asked for"
         assert told["real time"][1].startswith("slave: scheduler SCHED_FIFO")
-        killed = {"sentence": "the process ended without a word after tick 9; this is made from its record"}
-        told = rows(replace(wave, mode="live", extra={"master": killed, "slave": given}))
-        assert told["real time"] == ["slave: scheduler SCHED_FIFO, priority 40, memory locked"], "it is not known"
+
+    @pytest.mark.parametrize("sentence", ["the process ended without a word after tick 9; this is made from its record",
+                                          "still running: this is its record up to tick 9"])
+    def test_an_end_without_a_summary_was_said_to_have_ordinary_scheduling(self, wave: Result, sentence: str) -> None:
+        given = {"realtime": {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}, "sealed": False}
+        told = rows(replace(wave, mode="live", extra={"master": {"sentence": sentence}, "slave": given}))
+        assert told["real time"] == ["slave: scheduler SCHED_FIFO, priority 40, memory locked"]
 
     def test_calls_the_error_of_an_integration_estimated(self, wave: Result) -> None:
         own = {"error_estimate_max": 4.94e-10, "error_estimate_sum": 1.2e-8, "substeps_max": 3,
