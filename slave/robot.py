@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from teleop.physics.carried import is_carried
 from teleop.physics.plant import Plant
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.protocol.guard import DEADLINE
@@ -92,4 +91,8 @@ def _goes_on(old: Plant, z: Any, new: Plant, ticks: int) -> Any:
     """
     if new.move is old.move:
         return z
+    if new.start is None:
+        return None
+    from teleop.physics.carried import is_carried  # loaded by now if it is one
+
     return (ticks, *new.start[1:]) if is_carried(new) else new.start

@@ -156,7 +156,8 @@ def _playouts() -> Words:
 
 
 def _devices(ends: str) -> Callable[[], Words]:
-    from teleop.scene.catalogue import device_line, known_devices
+    from teleop.naming import known_devices
+    from teleop.scene.catalogue import device_line
 
     return lambda: {name: device_line(e, name, place) for e in ends for name, place in known_devices(e).items()}
 

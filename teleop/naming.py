@@ -1,8 +1,9 @@
 """Parts found by name: those built in, and those that installed packages offer as entry points.
 
 A package of yours offers a law by `[project.entry-points."teleop.laws"]`, `mine = "my_package:MyLaw"`; an
-effect by the group `teleop.effects`, a scene (its module) by `teleop.scenes`. They are listed without being imported.
-A `PartKind` reads parts from texts, written as in Python: `low_pass(cutoff=30.0)`, `bernoulli(0.02)`.
+effect by the group `teleop.effects`, a scene (its module) by `teleop.scenes`, a master's device by `teleop.devices`, a
+slave's robot by `teleop.robots`. They are listed without being imported. `teleop.live.devices.opening` opens one by
+its name. A `PartKind` reads parts from texts, written as in Python: `low_pass(cutoff=30.0)`, `bernoulli(0.02)`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused, enumerated, nearest, number_of
 
@@ -157,3 +158,37 @@ def unreadable(text: str, error: Exception) -> str:
 def _arguments_of(made: type[Any]) -> dict[str, tuple[bool, bool]]:
     """Arguments of a part by name: True if it must be given, True if it must be given by name."""
     return {knob.name: (knob.default is MISSING, bool(knob.kw_only)) for knob in fields(made) if knob.init}
+
+
+DEVICES = {  # of the master's end
+    "csv": "teleop.live.devices.csv_replay:replayed_device",
+    "gamepad": "teleop.live.devices.opening:gamepad",
+    "haply": "master.haply:Inverse3",
+    "pointer": "teleop.live.devices.opening:pointer",
+    "simulated": "master.device:SimulatedMaster",
+}
+ROBOTS = {  # of the slave's end
+    "csv": "teleop.live.devices.csv_replay:replayed_robot",
+    "mujoco": "slave.mujoco_robot:MuJoCoRobot",
+    "simulated": "slave.robot:SimulatedSlave",
+}
+
+
+class DeviceKind(NamedTuple):
+    """Kind of device at one end: its word, the option that names it, the group of entry points, the built-in ones."""
+
+    word: str
+    option: str
+    group: str
+    built_in: Mapping[str, str]  # "module:maker" by name
+
+
+DEVICE_KINDS = {
+    "m": DeviceKind("device", "--device", "teleop.devices", DEVICES),
+    "s": DeviceKind("robot", "--robot", "teleop.robots", ROBOTS),
+}
+
+
+def known_devices(e: str) -> dict[str, str]:
+    """Places of all that may stand at the end `e`, "m" or "s": `name -> "module:maker"`. None is imported."""
+    return dict(sorted(known_places(DEVICE_KINDS[e].group, DEVICE_KINDS[e].built_in).items()))

@@ -6,7 +6,7 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from secrets import randbits
@@ -14,7 +14,6 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused, number
-from teleop.live.devices.device_watchdog import DeviceWatchdog, with_watchdog
 from teleop.live.devices.guarded_device import LiveDevice, is_simulated
 from teleop.live.devices.opening import close, find_device, open_device, watchdog_of
 from teleop.live.driving import run_in_loop
@@ -29,11 +28,11 @@ from teleop.live.records.end_result import NAMES, UNRELEASED
 from teleop.live.records.record import EVERY, RecordWriter, fresh_folder
 from teleop.live.shell import TRACEBACK, Shell, write_traceback
 from teleop.live.summary import UNWATCHED, holds_on, write_end
+from teleop.naming import DEVICE_KINDS
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.guard import Event
 from teleop.protocol.manifest import live_manifest, manifest_of
 from teleop.protocol.session import Session
-from teleop.scene.catalogue import KINDS
 from teleop.scene.loading import asks_for_trust, live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.result import Result
@@ -103,8 +102,7 @@ def _run_with(
         _check_stepped(args, made)
         stem = f"{scene.name}-{NAMES[e]}"
         with (realtime.scheduling_of(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
-              nullcontext(made) if args.lockstep else with_watchdog(
-                  made, folder.path, scheduling.above, _watchdog(e, args, knobs)) as watched_device):
+              _with_watchdog(e, args, knobs, made, folder.path, scheduling.above) as watched_device):
             progress = _Progress(scene)
             say = _report_live if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
             command = ["python", "-m", NAMES[e], *argv]
@@ -161,8 +159,8 @@ def _arguments(e: str, argv: list[str]) -> Namespace:
     if args.watchdog and args.lockstep:
         raise Refused("--watchdog is for ends that go by the clock; leave --lockstep out")
     if args.watchdog and not args.named:
-        raise Refused(f"--watchdog opens the {KINDS[e].word} a second time by its name; give it one by "
-                      f"{KINDS[e].option} NAME, or see teleop/live/devices/README.md")
+        raise Refused(f"--watchdog opens the {DEVICE_KINDS[e].word} a second time by its name; give it one by "
+                      f"{DEVICE_KINDS[e].option} NAME, or see teleop/live/devices/README.md")
     if args.wait is not None:
         number("--wait", args.wait, above=0.0)
     return args
@@ -175,11 +173,15 @@ def _check_stepped(args: Namespace, device: LiveDevice) -> None:
                       f"simulated, and {args.named} does not say that it is; leave --lockstep out")
 
 
-def _watchdog(e: str, args: Namespace, knobs: dict[str, str]) -> DeviceWatchdog | None:
-    """The watchdog that was asked for, None if none was."""
-    if not args.watchdog:
-        return None
-    return watchdog_of(e, args.named, args.scene, knobs)
+def _with_watchdog(e: str, args: Namespace, knobs: dict[str, str], device: LiveDevice, folder: Path,
+                   priority: int | None) -> AbstractContextManager[LiveDevice]:
+    """The device with its watchdog process, if it names one, or --watchdog asks for one."""
+    default = watchdog_of(e, args.named, args.scene, knobs) if args.watchdog else None
+    if args.lockstep or (default is None and getattr(device, "watchdog", None) is None):
+        return nullcontext(device)
+    from teleop.live.devices.device_watchdog import with_watchdog
+
+    return with_watchdog(device, folder, priority, default)
 
 
 def _tell_result(args: Namespace, result: Result, folder: Path, command: list[str]) -> None:
@@ -253,12 +255,13 @@ def _parser(e: str) -> ArgumentParser:
                             help="where the slave, or the channel, listens")
     else:
         parser.add_argument("--listen", metavar="HOST:PORT", required=True, help="where to wait for the master")
-    parser.add_argument(KINDS[e].option, dest="named", metavar="NAME", help=f"the {KINDS[e].word} at this end: a name "
-                        f"(see `teleop list {KINDS[e].word}s`), NAME:ARGUMENT, or FILE.py:CLASS of your own; left out: "
-                        "this program's own")
-    parser.add_argument("--watchdog", action="store_true", help=f"have a process beside this one open the "
-                        f"{KINDS[e].word} by the same name, and set its force to zero where this one dies or hangs: "
-                        "for hardware that holds its last force and that two may open")
+    word = DEVICE_KINDS[e].word
+    parser.add_argument(DEVICE_KINDS[e].option, dest="named", metavar="NAME", help=f"the {word} at this end: a name "
+                        f"(see `teleop list {word}s`), NAME:ARGUMENT, or FILE.py:CLASS of your own; left out: this "
+                        "program's own")
+    parser.add_argument("--watchdog", action="store_true", help=f"have a process beside this one open the {word} "
+                        "by the same name, and set its force to zero where this one dies or hangs: for hardware that "
+                        "holds its last force and that two may open")
     parser.add_argument("--out", metavar="DIR", help=f"folder for the record; default runs/SCENE-{name}-N")
     parser.add_argument("--wait", metavar="SECONDS", type=float, default=10.0 if e == "m" else None,
                         help="give up if the other end does not answer in this time"

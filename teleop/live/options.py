@@ -12,15 +12,16 @@ from teleop.protocol.guard import UNNAMED
 from teleop.protocol.manifest import MOST_EVERY
 from teleop.scene.playout import Fixed, Integral, Playout, as_typed, integrates
 from teleop.scene.scene import Scene
-from teleop.terminal.answer import Answer
 
 if TYPE_CHECKING:
     from teleop.protocol.secure.secure_link import SecureLink
+    from teleop.terminal.answer import Answer
 
 
 def keygen(args: Namespace) -> Answer:
     """Make a key with its certificate, and say what each end is started with. Raises `Refused`."""
     from teleop.protocol.secure.keys import keygen as make
+    from teleop.terminal.answer import Answer
 
     path, fingerprint = make(args.name)
     text = (f"{path} written: it stays at this end, started with\n  --key {path}\n"

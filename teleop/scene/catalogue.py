@@ -1,8 +1,6 @@
 """Names for the command line: scenes, laws, effects, velocity estimators and devices, with the knobs of each.
 
-A package of yours offers a master's device by `[project.entry-points."teleop.devices"]`, `mine = "my_package:MyArm"`,
-and a slave's robot by the group `teleop.robots`. They are listed without being imported. What opens one by its name is
-`teleop.live.devices.opening`.
+The devices that there are stand in `teleop.naming`, so that a live end finds one without this file.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from teleop.errors import Refused, closest, nearest
 from teleop.knob import Declared, knobs_of_fields
 from teleop.law import BUILT_IN, find_law, known_laws
 from teleop.laws.around.names import EXAMPLES, STAGES
-from teleop.naming import known_places
+from teleop.naming import DEVICE_KINDS, known_places
 from teleop.scene.knobs import COMMON, knobs_of, read_law
 from teleop.scene.library import (
     ROOT,
@@ -169,43 +167,9 @@ def _load(where: str) -> Any:
     return getattr(import_bundled(module) if module.startswith("channel.") else import_module(module), attribute)
 
 
-DEVICES = {  # of the master's end
-    "csv": "teleop.live.devices.csv_replay:replayed_device",
-    "gamepad": "teleop.live.devices.opening:gamepad",
-    "haply": "master.haply:Inverse3",
-    "pointer": "teleop.live.devices.opening:pointer",
-    "simulated": "master.device:SimulatedMaster",
-}
-ROBOTS = {  # of the slave's end
-    "csv": "teleop.live.devices.csv_replay:replayed_robot",
-    "mujoco": "slave.mujoco_robot:MuJoCoRobot",
-    "simulated": "slave.robot:SimulatedSlave",
-}
-
-
-class DeviceKind(NamedTuple):
-    """Kind of device at one end: its word, the option that names it, the group of entry points, the built-in ones."""
-
-    word: str
-    option: str
-    group: str
-    built_in: Mapping[str, str]  # "module:maker" by name
-
-
-KINDS = {
-    "m": DeviceKind("device", "--device", "teleop.devices", DEVICES),
-    "s": DeviceKind("robot", "--robot", "teleop.robots", ROBOTS),
-}
-
-
-def known_devices(e: str) -> dict[str, str]:
-    """Places of all that may stand at the end `e`, "m" or "s": `name -> "module:maker"`. None is imported."""
-    return dict(sorted(known_places(KINDS[e].group, KINDS[e].built_in).items()))
-
-
 def device_line(e: str, name: str, place: str) -> str:
     """The first line of the docstring of a built-in maker, read from its file without importing it."""
-    if KINDS[e].built_in.get(name) != place:
+    if DEVICE_KINDS[e].built_in.get(name) != place:
         return f"from a plug-in, {place}"
     module, _, maker = place.partition(":")
     file = ROOT.joinpath(*module.split(".")).with_suffix(".py")

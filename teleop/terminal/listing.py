@@ -15,7 +15,8 @@ from teleop.kind import kinds
 from teleop.knob import Declared, Knob
 from teleop.law import BUILT_IN, find_law, known_laws, messages
 from teleop.law.offers import CONDITIONS, claims_of, seed_energy, stores
-from teleop.scene.catalogue import KINDS, Named, UnknownName, device_line, find, known_devices, names
+from teleop.naming import DEVICE_KINDS, known_devices
+from teleop.scene.catalogue import Named, UnknownName, device_line, find, names
 from teleop.scene.knobs import COMMON
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
@@ -127,11 +128,11 @@ def _stages() -> tuple[Rows, list[str]]:
 def _devices_called(name: str) -> Rows:
     """The device and the robot of this name."""
     return [{"name": f"{kind.option} {name}", "meaning": device_line(e, name, place)}
-            for e, kind in KINDS.items() if (place := known_devices(e).get(name)) is not None]
+            for e, kind in DEVICE_KINDS.items() if (place := known_devices(e).get(name)) is not None]
 
 
 def _devices(e: str) -> tuple[Rows, list[str]]:
-    kind = KINDS[e]
+    kind = DEVICE_KINDS[e]
     rows = [{"name": name, "meaning": device_line(e, name, place)} for name, place in known_devices(e).items()]
     program = "master" if e == "m" else "slave"
     return rows, [f"set with: python -m {program} SCENE {kind.option} NAME, or NAME:ARGUMENT where it opens something",

@@ -11,7 +11,8 @@ from slave.robot import SimulatedSlave
 from teleop import Reading, Refused, load_scene
 from teleop.__main__ import main
 from teleop.live.devices.opening import find_device
-from teleop.scene.catalogue import KINDS, device_line
+from teleop.naming import DEVICE_KINDS
+from teleop.scene.catalogue import device_line
 
 SCENE = load_scene("hard_wall", duration=0.1)
 OWN = """
@@ -38,7 +39,7 @@ def test_a_built_in_robot_is_made_from_the_scene() -> None:
 
 @pytest.mark.parametrize("e", ["m", "s"])
 def test_every_built_in_one_has_a_sentence_that_is_read_without_importing_it(e: str) -> None:
-    for name, place in KINDS[e].built_in.items():
+    for name, place in DEVICE_KINDS[e].built_in.items():
         line = device_line(e, name, place)
         assert line.endswith("."), name
         assert "plug-in" not in line, name

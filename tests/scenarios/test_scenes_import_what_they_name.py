@@ -28,10 +28,14 @@ ESTIMATORS = {f"teleop.stages.velocity.{name}"
 DEVICES = {"teleop.stages.device", "teleop.stages.passivity_controller"}
 BODIES = {f"teleop.physics.{name}" for name in ("implicit", "sdirk", "relaxing", "carried", "contact")}
 REFERENCES = {"master.recording"}  # the other references share a file with the grip
+ALIVE = {"asyncio", "socket", "select", "msgpack", "concurrent.futures", "subprocess", "teleop.live",
+         "teleop.protocol.packet", "teleop.protocol.endpoint", "teleop.protocol.session"}  # of NEVER, at a live end
+NEVER_LIVE = NEVER - ALIVE | {"teleop.live.devices.device_watchdog", "teleop.live.turning", "teleop.live.page",
+                              "teleop.protocol.secure.secure_link", "teleop.stages.velocity", "teleop.terminal.answer"}
 CODE = """
 import sys, json
-from teleop.__main__ import main
-code = main(sys.argv[1:])
+from importlib import import_module
+code = import_module(sys.argv[1] + ".__main__").main(sys.argv[2:])
 print(json.dumps([code, *sys.modules]))
 """
 
@@ -45,12 +49,17 @@ def knobs_of(name: str, folder: Path) -> dict[str, str]:
 
 def loaded_by(name: str, knobs: dict[str, str], folder: Path) -> set[str]:
     settings = [part for key, value in knobs.items() for part in ("--set", f"{key}={value}")]
+    return loaded(["teleop", "run", name, *settings, "--json"], folder, 0)
+
+
+def loaded(words: list[str], folder: Path, exit_code: int) -> set[str]:
+    """The modules that a program has loaded when it ends with this code."""
     done = subprocess.run(
-        [sys.executable, "-c", CODE, "run", name, *settings, "--json"], cwd=folder, text=True, check=True,
-        capture_output=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        [sys.executable, "-c", CODE, *words], cwd=folder, text=True, check=True, capture_output=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     code, *modules = json.loads(done.stdout.splitlines()[-1])
-    assert code == 0, done.stderr
+    assert code == exit_code, done.stderr
     return set(modules)
 
 
@@ -107,17 +116,29 @@ OPTIONAL = homes(EFFECTS) | homes(BUILT_IN) | ENVIRONMENTS | REFERENCES | ESTIMA
 @pytest.mark.parametrize("name", built_in_scenes())
 def test_a_built_in_scene(name: str, tmp_path: Path) -> None:
     knobs = knobs_of(name, tmp_path)
-    loaded = loaded_by(name, knobs, tmp_path)
-    assert loaded & OPTIONAL == named_by(load_scene(name, **knobs))
-    assert not loaded & NEVER
+    modules = loaded_by(name, knobs, tmp_path)
+    assert modules & OPTIONAL == named_by(load_scene(name, **knobs))
+    assert not modules & NEVER
+
+
+@pytest.mark.parametrize("name", ["hard_wall", "canonical"])
+@pytest.mark.parametrize("start", [("master", "--peer=127.0.0.1:9"), ("slave", "--listen=127.0.0.1:0")])
+def test_a_live_end_loaded_the_catalogue_and_the_process_of_a_watchdog(start: tuple[str, str], name: str, tmp_path: Path
+                                                                       ) -> None:
+    end, where = start  # where nobody answers
+    modules = loaded([end, name, where, "--wait=0.05", "--no-realtime"], tmp_path, 2)
+    assert "teleop.live.driving" in modules
+    guard = {"teleop.stages.watchdog", "teleop.stages.force_cap"}  # of every live end
+    assert modules & OPTIONAL == named_by(load_scene(name)) | guard
+    assert not modules & NEVER_LIVE
 
 
 @pytest.mark.parametrize("name", ["virtual_wall", "virtual_coupling"])
 def test_a_one_port_scene_with_all_that_a_device_may_have(name: str, tmp_path: Path) -> None:
     knobs = {"duration": "0.02", "cap": "0.8", "f_max": "3", "b_e": "0.8"}
-    loaded = loaded_by(name, knobs, tmp_path)
-    assert {"teleop.stages.passivity_controller", "teleop.stages.force_cap", "teleop.physics.relaxing"} <= loaded
-    assert loaded & OPTIONAL == named_by(load_scene(name, **knobs))
+    modules = loaded_by(name, knobs, tmp_path)
+    assert {"teleop.stages.passivity_controller", "teleop.stages.force_cap", "teleop.physics.relaxing"} <= modules
+    assert modules & OPTIONAL == named_by(load_scene(name, **knobs))
 
 
 @pytest.mark.parametrize(
@@ -129,6 +150,6 @@ def test_a_one_port_scene_with_all_that_a_device_may_have(name: str, tmp_path: P
     ],
 )
 def test_a_knob_turned(change: dict[str, str], gained: set[str], lost: set[str], tmp_path: Path) -> None:
-    loaded = loaded_by("canonical", {"duration": "0.02", **change}, tmp_path)
-    assert gained <= loaded
-    assert not lost & loaded
+    modules = loaded_by("canonical", {"duration": "0.02", **change}, tmp_path)
+    assert gained <= modules
+    assert not lost & modules

@@ -9,8 +9,8 @@ from typing import Any
 from teleop.errors import number_of
 from teleop.live.devices.checking import DeviceCheck, check_device
 from teleop.live.devices.judging import DeviceFault, Mistake
+from teleop.naming import DEVICE_KINDS
 from teleop.scene.axes import FORCE_UNIT
-from teleop.scene.catalogue import KINDS
 from teleop.scene.loading import load_scene
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import FAULT, FORCED, knobs_from
@@ -45,7 +45,7 @@ def _report(result: DeviceCheck, e: str) -> str:
     lets_go = [] if result.deadline is None else [f"by itself after {result.deadline:g} s"]
     lets_go += ["by its watchdog process"] * result.watchdog
     lines = [
-        f"{KINDS[e].word} {result.device}: {number_of(result.axes, 'axis', 'axes')}, "
+        f"{DEVICE_KINDS[e].word} {result.device}: {number_of(result.axes, 'axis', 'axes')}, "
         f"{'with a' if result.senses else 'without a'} force sensor{', simulated' * result.simulated}",
         f"  read    {_time(result.read_median)} median, {_time(result.read_most)} at most, of "
         f"{number_of(result.reads, 'call')}",

@@ -1,6 +1,6 @@
 """Devices and robots as they are typed, `NAME`, `NAME:ARGUMENT` or `FILE.py:CLASS`, and how a live end opens them.
 
-A name is one of `teleop.scene.catalogue`. A file with one device needs no class. The device is made by
+A name is one of `teleop.naming`. A file with one device needs no class. The device is made by
 `make(scene)`, or with an argument by `make(scene, argument)`. Its author's first mistake is refused with a sentence.
 """
 
@@ -12,16 +12,17 @@ from dataclasses import dataclass
 from inspect import Signature, isclass, iscoroutinefunction, signature
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from teleop.errors import DeviceError, Refused, enumerated, nearest, number
-from teleop.live.devices.device_watchdog import DeviceWatchdog
 from teleop.live.devices.guarded_device import LiveDevice
-from teleop.naming import find
-from teleop.scene.catalogue import KINDS, known_devices
+from teleop.naming import DEVICE_KINDS, find, known_devices
 from teleop.scene.library import own_module, prefer_bundled
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene, both_ends
+
+if TYPE_CHECKING:
+    from teleop.live.devices.device_watchdog import DeviceWatchdog
 
 METHODS = {"read": "k", "hold": "force"}  # and what each is called with
 PAGE = "teleop/live/devices/README.md"
@@ -61,10 +62,12 @@ def open_device(make: Callable[..., LiveDevice], scene: Scene, *argument: str, n
             raise Refused(f"{called} is a coroutine, which nobody awaits; write def {method}(self, {parameter}), "
                           f"without async, that returns at once: see {PAGE}")
         _check_call(function, called, parameter)
-    watchdog = getattr(device, "watchdog", None)
-    if watchdog is not None and not isinstance(watchdog, DeviceWatchdog):
-        raise Refused(f"a device's watchdog is a DeviceWatchdog, not {_describe(watchdog)}; write for example "
-                      f"watchdog = DeviceWatchdog(open=\"my_arm:zeroing\"), and see {PAGE}")
+    if (watchdog := getattr(device, "watchdog", None)) is not None:
+        from teleop.live.devices.device_watchdog import DeviceWatchdog
+
+        if not isinstance(watchdog, DeviceWatchdog):
+            raise Refused(f"a device's watchdog is a DeviceWatchdog, not {_describe(watchdog)}; write for example "
+                          f"watchdog = DeviceWatchdog(open=\"my_arm:zeroing\"), and see {PAGE}")
     if (deadline := getattr(device, "deadline", None)) is not None:
         number("a device's deadline", deadline, above=0.0, unit="s")
     return device
@@ -141,14 +144,14 @@ def find_device(e: str, text: str) -> NamedDevice:
     >>> find_device("s", "simulated").make.__name__, find_device("m", "csv:reach.csv").argument
     ('SimulatedSlave', 'reach.csv')
     """
-    kind = KINDS[e]
+    kind = DEVICE_KINDS[e]
     name, colon, rest = text.partition(":")
     if name.endswith(".py"):
         maker, colon, argument = rest.partition(":")
         return NamedDevice(text, _in_file(e, name, maker), argument if colon else None)
     if colon and not rest:
         raise Refused(f"{kind.option} {text} has nothing behind its colon; write {name}, or {name}:ARGUMENT")
-    peer_kind = KINDS["ms"[e == "m"]]
+    peer_kind = DEVICE_KINDS["ms"[e == "m"]]
     if name not in (known := known_devices(e)) and name in known_devices("ms"[e == "m"]):
         raise Refused(f"{name} is a {peer_kind.word}, and this end takes a {kind.word}; give it to the other end by "
                       f"{peer_kind.option} {text}, or take one of {', '.join(known)} here")
@@ -163,7 +166,7 @@ def find_device(e: str, text: str) -> NamedDevice:
 
 def _in_file(e: str, file: str, name: str) -> Callable[..., LiveDevice]:
     """The class, or the function, `name` of a file; without a name its one class with the methods of a device."""
-    word, option = KINDS[e].word, KINDS[e].option
+    word, option = DEVICE_KINDS[e].word, DEVICE_KINDS[e].option
     module = own_module(Path(file), f"a {word}", f"{option} FILE.py names a file with a {word} of your own, "
                         f"{option} FILE.py:CLASS one of several in it")
     classes: dict[str, Any] = {key: value for key, value in vars(module).items() if isclass(value)
@@ -191,10 +194,12 @@ def watchdog_of(e: str, text: str, scene: str, knobs: Mapping[str, str]) -> Devi
     >>> watchdog_of("s", "my_arm:/dev/ttyACM0", "hard_wall", {}).open
     'teleop.live.devices.opening:zeroing'
     """
+    from teleop.live.devices.device_watchdog import DeviceWatchdog
+
     file, colon, rest = text.partition(":")
     name = f"{Path(file).absolute()}{colon}{rest}" if file.endswith(".py") else text
     return DeviceWatchdog(open=f"{__name__}:{zeroing.__name__}", arguments=(e, text, scene, json.dumps(dict(knobs))),
-                          device=f"{KINDS[e].word} {name}")
+                          device=f"{DEVICE_KINDS[e].word} {name}")
 
 
 def zeroing(e: str, text: str, scene: str, knobs: str) -> Callable[[], None]:
