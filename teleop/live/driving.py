@@ -148,7 +148,7 @@ class Listening:
         elif secure_link is not None:
             self.wire.keep_to_peer(of_records())
         elif number is not None:
-            shapes = of_session(number, endpoint.scene.wire_size, endpoint.hears)
+            shapes = of_session(number, endpoint.scene.wire_size, endpoint.format.hears)
             self.wire.keep_to_peer(shapes if endpoint.session.master else shapes + of_next(number))
 
 

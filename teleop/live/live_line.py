@@ -56,7 +56,7 @@ class LiveLine:
         late, self._late_ns = self._late_ns, 0
         endpoint, link, guard = self._endpoint, self._endpoint.link, self._endpoint.guard
         scene = endpoint.scene
-        queue = [row[i] for i in endpoint.queues]
+        queue = [row[i] for i in endpoint.places.queues]
         return {
             "end": endpoint.e, "k": k, "x": reading.x[0], "f": force[0], "late_us": late / 1e3,
             "delay": link.way.recent / 1e9 if link.way.count else None, "gain": guard.gain, "cause": guard.cause,

@@ -29,13 +29,12 @@ from teleop.protocol.packet import (
     Layout,
     Packet,
     Rejection,
-    Window,
     check_size,
     decode,
     encode,
     unwrapped,
 )
-from teleop.protocol.reception import IntegralCheck, Presence
+from teleop.protocol.reception import Presence, Reception
 from teleop.protocol.session import RENEW_NS, Session
 from teleop.protocol.states import Cause, Reason
 from teleop.protocol.switches import SwitchEvents, switches_of, unlike
@@ -109,6 +108,106 @@ class Witness(Protocol):
                tx: tuple[Any, ...], sent: tuple[Integrals, ...] | None) -> None: ...
 
 
+class MessageFormat:
+    """Format of both ways' messages at the end `e`: the law's, per axis, and the integrals of waves behind them.
+
+    `hears` and `sends`: kind of the packets of each way. `width`: of those that come, how many numbers one has. `size`:
+    bytes of every datagram.
+    """
+
+    def __init__(self, scene: Scene, e: str, dt: float) -> None:
+        law: Any = scene.laws[0]
+        ways = (("master", Kind.FORTH), ("slave", Kind.BACK))
+        (sender, self.sends), (peer, self.hears) = ways if e == "m" else ways[::-1]
+        types = dict(zip(("master", "slave"), message_types(law, dt), strict=True))
+        self.rx_type = types[peer]
+        self._rx, self._tx = (
+            Layout(types[name], scene.axes, couples=hasattr(law, f"{name}_sums")) for name in (peer, sender))
+        self._has_integral = structure_of(scene).has.integral
+        integrals = (1 + 2 * scene.axes) * self._has_integral  # T, and U and E of each axis, behind the law's messages
+        self.width = self._rx.width + integrals
+        most = max(self._rx.width, self._tx.width) + integrals
+        self.size = check_size(scene.wire_size, most, energy=scene.energy and not self._has_integral)
+        self._axes = range(scene.axes)
+
+    def message_of(self, packet: Packet) -> Heard:
+        """The message in a packet that came."""
+        payload: Any = packet.payload
+        rx, at = self._rx.messages(payload), self._rx.width
+        if not self._has_integral:
+            return Heard(rx, packet.E_in)
+        if len(rx) == 1:  # the same without the loop
+            U, E, T = payload[at:]
+            return Heard(rx, E, (Integrals(T, U, E),))
+        T = payload[-1]
+        waves = tuple([Integrals(T, payload[at + 2 * i], payload[at + 2 * i + 1]) for i in self._axes])
+        return Heard(rx, sum(each.E for each in waves), waves)
+
+    def payload_of(self, tx: tuple[Any, ...], waves: tuple[Integrals, ...] | None) -> tuple[float, ...]:
+        """The numbers of a packet with these messages."""
+        payload = self._tx.flat(tx)
+        if waves is not None:
+            payload += (*[number for _, U, E in waves for number in (U, E)], waves[0].T)
+        return payload
+
+
+class RowPlaces(NamedTuple):
+    """Places of columns in a row of the record; None where the row has no such column."""
+
+    E_in: int | None  # energy that came in at this end, J
+    E_out: int | None  # energy that the messages played here may have brought, J
+    sent: int | None  # did the deadband let the message through
+    positions: list[int]
+    queues: list[int]  # of waves (s), one an axis
+
+    @classmethod
+    def of(cls, e: str, names: list[str]) -> RowPlaces:
+        """The places at the end `e` in a row with these columns; the name of a column per axis stands once an axis."""
+        into, out = ("fwd", "bwd") if e == "m" else ("bwd", "fwd")
+        E_in, E_out, sent = (names.index(name) if name in names else None for name in (
+            f"E_in_{into}", f"E_out_{out}", f"sent_{e}"))
+        return cls(E_in, E_out, sent, [i for i, name in enumerate(names) if name in (f"x_{e}@", f"q_{e}@")],
+                   [i for i, name in enumerate(names) if name == f"queue_{e}@"])
+
+
+class Origin:
+    """Origin of a law's positions, in the device's own: `at` is None where the two are the same."""
+
+    def __init__(self, scene: Scene, e: str) -> None:
+        self._starts = scene.vector(f"start_{e}", getattr(scene, f"start_{e}"))
+        self._device: Any = getattr(scene, f"device_{e}")
+        self.placed = False  # is it known where the device was before tick 0
+        self.away: Axes | None = None  # how far that is from where the scene begins, if it is not there
+        self.at: Axes | None = None
+
+    def place(self, x: Axes, *, moves: bool) -> None:
+        """Take note of where the device is before tick 0. `moves`: the law's positions may count from elsewhere."""
+        self.placed = True
+        if x != self._starts and moves:
+            self.away = tuple([a - b for a, b in zip(x, self._starts, strict=True)])
+
+    def move(self, x: Axes) -> None:
+        """Count from `x`, or from the nearest whole step of an encoder."""
+        self.at = x
+        if self._device is not None and self._device.encoder is not None:
+            from teleop.stages.encoder import encode
+
+            self.at = tuple([encode((self._device.encoder.step, 0.5), each) for each in x])
+
+    def of_law(self, x: Axes) -> Axes:
+        """A position of the device as the law sees it."""
+        return x if self.at is None else tuple([a - b for a, b in zip(x, self.at, strict=True)])
+
+    def of_device(self, row: tuple[float, ...], positions: list[int]) -> tuple[float, ...]:
+        """A row of the record with its positions as the device reads them."""
+        if self.at is None:
+            return row
+        out = list(row)
+        for n, i in enumerate(positions):
+            out[i] += self.at[n % len(self.at)]
+        return tuple(out)
+
+
 class Endpoint:
     """The master's or the slave's end of a scene, live.
 
@@ -117,9 +216,11 @@ class Endpoint:
 
     `link` tells what the packets say of the way and of the peer's clock. One-way delays are as they are seen, from
     the tick a packet was sent at to its coming: they carry the uncertainty of the clock offset, half the fastest round
-    trip of the first exchange. `guard` holds the safe state and the events of the run. `queues` are the places in a row
-    of the record that have the queue of waves (s), one an axis; none where nothing has a queue.
+    trip of the first exchange. `guard` holds the safe state and the events of the run. `places` are those of a row of
+    the record, once the end knows what its device senses.
     """
+
+    places: RowPlaces
 
     _switches: SwitchEvents | None = None  # where there is an operator's part
 
@@ -137,44 +238,25 @@ class Endpoint:
         self.every = session.every
         self.own = replace(scene, dt=scene.dt * self.every) if self.every != 1 else scene
         dt = self.own.dt_ns / 1e9
+        self.format = MessageFormat(scene, e, dt)
         self.guard = ForceGuard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
         # What came last is played so long after it was sent: until then there is a force, which no session may cut off.
         played = round(scene.played_as.delay * 1e9) if isinstance(scene.played_as, Fixed) else 0
         session.liveness.renew_ns = max(session.liveness.renew_ns, played + self.guard.lets_go_ns + RENEW_NS // 10)
         self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
-        self._window = Window()  # so that a copy or a replay is no second measurement
-        self._tick = -1
-        self._came = 0  # the tick at which a new packet came last
         self.presence = Presence(session, self.link, scene.dt_ns, self.every, self.guard.timeout_ns)
-        self._met = 1  # the session that the law was begun for
-        self._placed = False  # is it known where the device was before tick 0
-        self._away: Axes | None = None  # how far that is from where the scene begins, if it is not there
-        self._index: Axes | None = None  # where the law's positions count from, if not from the device's zero
         self.held = HeldForce(scene, e, self.every, self.guard)
-        self._newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
-        self._shifted = 0  # ns that the grid was moved by
         self.witness: Witness | None = None
-        self._live: Any = None
-        self._rejoined = False  # did the law begin later than with tick 0 of the first session
-        self._before: tuple[Integrals, ...] | None = None  # what the peer's waves had come to when it was heard first
-        self._started: Any = None
-        law: Any = scene.laws[0]
-        self._axes = range(scene.axes)
-        forth, back = message_types(law, dt)
-        rx_type, tx_type = (back, forth) if e == "m" else (forth, back)
-        own, other = ("master", "slave") if e == "m" else ("slave", "master")
-        self._rx = Layout(rx_type, scene.axes, couples=hasattr(law, f"{other}_sums"))
-        self._tx = Layout(tx_type, scene.axes, couples=hasattr(law, f"{own}_sums"))
-        self.hears, self._sends = (Kind.BACK, Kind.FORTH) if e == "m" else (Kind.FORTH, Kind.BACK)
-        self._integral = structure_of(scene).has.integral
-        along = (1 + 2 * scene.axes) * self._integral  # T, and U and E of each axis, behind the law's messages
-        self._width = self._rx.width + along
-        most = max(self._rx.width, self._tx.width) + along
-        self._size = check_size(scene.wire_size, most, energy=scene.energy and not self._integral)
+        self._dt_ns = scene.dt_ns
+        self._tick = -1
+        self._arrived = 0  # the tick at which a new packet came last
         self._newest_wins = not self.stepped and not isinstance(scene.played_as, Fixed)
-        self._rates = Resampling(rx_type, mine=self.every, turning=scene.turning)
-        self._sums = IntegralCheck(scene.dt_ns / 1e9, scene.axes)
-        self._dt, self._dt_ns = dt, scene.dt_ns
+        self._reception = Reception(scene.dt_ns / 1e9, scene.axes)
+        self._rates = Resampling(self.format.rx_type, mine=self.every, turning=scene.turning)
+        self._origin = Origin(scene, e)
+        self._met = 1  # the session that the law was begun for
+        self._live: Any = None  # makes the law's tick
+        self._started: Any = None  # the law's tick, once it has begun
 
     @property
     def way(self) -> Any:
@@ -194,26 +276,22 @@ class Endpoint:
             raise Refused(_no_force(scene, e))
         self._live = live_of(self.own, e, sensor)
         names = columns(scene, e, sensor)
-        stamps = [f"E_in_{'fwd' if e == 'm' else 'bwd'}", f"E_out_{'bwd' if e == 'm' else 'fwd'}"]
         flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
-        self._E_in, self._E_out = (flat.index(s) if s in flat else None for s in stamps)
-        self._told = flat.index(f"sent_{e}") if f"sent_{e}" in flat else None
+        self.places = RowPlaces.of(e, flat)
         self._switches = SwitchEvents(scene, flat) if "clutch_m" in flat else None
-        self.queues = [i for i, name in enumerate(flat) if name == f"queue_{e}@"]
-        self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
         """Take a datagram that came at `now`; the datagrams to send back at once. Never raises on any bytes.
 
         It is played from the first tick at or after its coming on, even if that tick runs late.
         """
-        packet = decode(data, self._width)
+        packet = decode(data, self.format.width)
         if isinstance(packet, Rejection):
             self.rejected[packet.value] += 1
             return []
-        session, dt_ns, start_ns = self.session, self._dt_ns, self.session.start_ns
+        session, start_ns, hears = self.session, self.session.start_ns, self.format.hears
         kind, number, seq, sent_ns, echo, _, _ = packet
-        if kind is not self.hears and kind not in DATA:
+        if kind is not hears and kind not in DATA:
             if not session.belongs(packet, now):
                 self.rejected["session"] += 1
                 return []
@@ -221,13 +299,13 @@ class Endpoint:
         if number != session.number or start_ns is None or not session.carries_data:
             self.rejected["session"] += 1
             return []
-        if kind is not self.hears:
+        if kind is not hears:
             self.rejected["direction"] += 1
             return []
-        came = -((start_ns - now) // dt_ns)  # the tick, rounded up
-        near = self._tick if self.stepped or came < self._tick else came
+        arrival = -((start_ns - now) // self._dt_ns)  # the tick, rounded up
+        near = self._tick if self.stepped or arrival < self._tick else arrival
         seq = seq if -_NEAR < seq - near < _NEAR else unwrapped(seq, near)
-        sent = start_ns + seq * dt_ns  # when, by our clock
+        sent = start_ns + seq * self._dt_ns  # when, by our clock
         if session.met != self._met and not self.stepped:
             session.take_data(now, sent)
             return []  # its law begins with the next tick, and nothing of it counts as of the session before
@@ -235,25 +313,26 @@ class Endpoint:
             self.rejected["early"] += 1
             self.presence.ahead(self._tick, seq - near, sent_ns, now)
             return []
-        old, heard = seq < 0 or seq < near - (1 << 30), self._message_of(packet)
-        if old or (heard.waves is not None and not self._sums.add_up(seq, heard.waves, session.peer_every)):
-            self.rejected["old" if old else "integrals"] += 1
+        is_old, message, reception = seq < 0 or seq < near - (1 << 30), self.format.message_of(packet), self._reception
+        if is_old or (message.waves is not None and not reception.integrals.add_up(
+                seq, message.waves, session.peer_every)):
+            self.rejected["old" if is_old else "integrals"] += 1
             return []
         self.received += 1
-        if self._window.judge(seq, near) == "new":
+        if reception.window.judge(seq, near) == "new":
             session.take_data(now, sent)
-            self._came = came
+            self._arrived = arrival
             self.presence.in_time()
             if not self.stepped:
                 self.heard_ns = now
                 self.link.add(seq, sent_ns, echo, now - sent, now)
-            if self._newest is None or seq > self._newest[0]:
-                self._newest = (seq, sent_ns, now)
+            if reception.newest is None or seq > reception.newest[0]:
+                reception.newest = (seq, sent_ns, now)
                 self.presence.newest(echo, sent, now)
-        tick = came if came > self._tick else self._tick + 1
+        tick = arrival if arrival > self._tick else self._tick + 1
         if self.witness is not None:
             self.witness.arrived(self._met, seq, now - start_ns, tick)
-        self.inbox.add(seq, tick, heard)
+        self.inbox.add(seq, tick, message)
         return []
 
     def tick(self, k: int, now: int, reading: Reading, trouble: str | None = None) -> Tick:
@@ -263,29 +342,28 @@ class Endpoint:
         """
         if self._started is None or self._met != self.session.met:
             self._begin(k, reading)
-        got = self._rates.take(self.inbox, self._tick, k)
-        gain = self._gain(k, now, None if got is None else k - got[0],
+        played = self._rates.take(self.inbox, self._tick, k)
+        gain = self._gain(k, now, None if played is None else k - played[0],
                           None if trouble is None else Reason(Cause.DEVICE, trouble))
         if self.guard.lapsed or self.guard.overdue:
             self.held.zero(k)
-        seq, rx, waves = (-1, None, None) if got is None else (got[0], got[1].rx, got[1].waves)
-        x = reading.x if self._index is None else tuple([a - b for a, b in zip(reading.x, self._index, strict=True)])
-        newest = seq if self.every == 1 else seq / self.every
-        if waves is not None and self._rejoined:
-            waves = self._since(waves)
+        seq, message = (-1, None) if played is None else played
+        rx, waves = (None, None) if message is None else (message.rx, message.waves)
+        if waves is not None and self._reception.rejoined:
+            waves = self._reception.since_first(waves)
         inputs = LiveTick(
-            k // self.every, x, reading.v, reading.f, got is not None, newest, rx, waves, gain, self.held.force,
+            k // self.every, self._origin.of_law(reading.x), reading.v, reading.f, message is not None,
+            seq if self.every == 1 else seq / self.every, rx, waves, gain, self.held.force,
             self.held.since(k), 1.0 if reading.clutch else 0.0,
             1.0 if reading.present or reading.present is None else 0.0)
         force, tx, sent, row = self._started.send(inputs)
-        if got is not None and self._E_out is not None and got[1].E_in is not None:
-            margin = got[1].E_in - row[self._E_out]
+        if message is not None and message.E_in is not None and self.places.E_out is not None:
+            margin = message.E_in - row[self.places.E_out]
             if self.stamp_margin is None or margin < self.stamp_margin:
                 self.stamp_margin = margin
         if self._switches is not None:
             self._switches.update(k, row, self.guard)
-        if self._index is not None:
-            row = self._physical(row)
+        row = self._origin.of_device(row, self.places.positions)
         self._tick = k
         if not self.held.take(k, force):
             self.force_failed = f"f_{self.e}"
@@ -293,7 +371,7 @@ class Endpoint:
             self._follow()
         datagram = self._datagram(k, now, tx, sent, row)
         if self.witness is not None:
-            self.witness.ticked(k, self._met, inputs, self._index, force, tx, sent)
+            self.witness.ticked(k, self._met, inputs, self._origin.at, force, tx, sent)
         out: Tick = _new(Tick, (force, datagram, row, seq))
         return out
 
@@ -309,10 +387,7 @@ class Endpoint:
 
     def place(self, x: Axes) -> None:
         """Take note of where the device is before tick 0; if not where the scene is, the law begins from rest there."""
-        self._placed = True
-        starts = self.scene.vector(f"start_{self.e}", getattr(self.scene, f"start_{self.e}"))
-        if x != starts and not self.stepped:
-            self._away = tuple([a - b for a, b in zip(x, starts, strict=True)])
+        self._origin.place(x, moves=not self.stepped)
 
     def join(self, k: int, why: str = "the other end was running already") -> None:
         """The first tick of this end will be k: the run has been going on without it."""
@@ -327,30 +402,27 @@ class Endpoint:
         if self._live is None:
             self.senses(reading.f is not None, switches_of(reading))
         first, self._met = self._met == 1 and self._started is None, self.session.met
-        self._rejoined, self._before = not first and not self.stepped, None
         self.held.begin(k)
-        x = reading.x
-        if first and not self._placed:
-            self.place(x)  # nobody could read it before
-        if first and self._away is not None:
-            self._index = self._counted_from(self._away)
+        origin = self._origin
+        if first and not origin.placed:
+            self.place(reading.x)  # nobody could read it before
+        if first and origin.away is not None:
+            origin.move(origin.away)
             self.guard.begin(k, "the device is not where the scene begins: the law's positions count from there")
         if not first:
-            self._index = self._counted_from(x)
+            origin.move(reading.x)
             if not self.stepped:
                 inbox: Any = self.inbox
                 self.counted += Counter({name: getattr(inbox, name) for name in COUNTED})
                 self.inbox, self._tick = Inbox(self.scene.played_as, self.scene.dt_ns, tick=k - 1), k - 1
-                self._window, self._newest, self._shifted = Window(), None, 0
-                self._sums = IntegralCheck(self.scene.dt_ns / 1e9, self.scene.axes)
+                self._reception = Reception(self.scene.dt_ns / 1e9, self.scene.axes, rejoined=True)
                 self.presence.begin()
                 self.link.begin(self._rates.theirs)
             self.guard.begin(k, "the law begins from rest, and its positions from here")
-        if self._index is not None:
-            x = tuple([a - b for a, b in zip(x, self._index, strict=True)])
+        x = origin.of_law(reading.x)
         self._rates.begin(self.session.peer_every)
         begins = numbers_of(self.own, {self.e: x})
-        self._started = self._live(begins, self.scene.law, self._dt, x, reading.v, reading.f)
+        self._started = self._live(begins, self.scene.law, self.own.dt_ns / 1e9, x, reading.v, reading.f)
         self._started.send(None)
 
     def _gain(self, k: int, now: int, age: int | None, trouble: Reason | None) -> float:
@@ -361,90 +433,47 @@ class Endpoint:
             # What is not released yet waits for the first answer; a run that begins well need not.
             waits = self.guard.safe and not presence.answered
             unheard = inf if waits else presence.unheard_ns / 1e9
-        came = self._came if self._newest_wins else self._rates.played
+        arrived = self._arrived if self._newest_wins else self._rates.played
         gain = self.guard.step(
-            k, age is not None, trouble, arrived=came, over=session.ended, unheard=unheard, age=age or 0)
+            k, age is not None, trouble, arrived=arrived, over=session.ended, unheard=unheard, age=age or 0)
         session.zero_force = gain == 0.0
         return gain
 
-    def _counted_from(self, x: Axes) -> Axes:
-        """Origin of the law's positions: here, to a whole step of the encoder if there is one."""
-        device: Any = getattr(self.scene, f"device_{self.e}")
-        if device is None or device.encoder is None:
-            return x
-        from teleop.stages.encoder import encode
-
-        return tuple([encode((device.encoder.step, 0.5), each) for each in x])
-
     def _follow(self) -> None:
         """Let a slave's grid follow the master's, whose clock may go at another rate."""
-        wanted = -self.link.clock.shift_ns
-        if self.session.start_ns is not None and wanted != self._shifted and not self.stepped:
+        wanted, reception = -self.link.clock.shift_ns, self._reception
+        if self.session.start_ns is not None and wanted != reception.shift_ns and not self.stepped:
             most = self.own.dt_ns // SLEW
-            step = max(-most, min(most, wanted - self._shifted))
-            self._shifted += step
+            step = max(-most, min(most, wanted - reception.shift_ns))
+            reception.shift_ns += step
             self.session.start_ns += step
-
-    def _physical(self, row: tuple[float, ...]) -> tuple[float, ...]:
-        """A row of the record with its positions as the device reads them."""
-        assert self._index is not None
-        out = list(row)
-        for n, i in enumerate(self._places):
-            out[i] += self._index[n % self.scene.axes]
-        return tuple(out)
-
-    def _message_of(self, packet: Packet) -> Heard:
-        payload: Any = packet.payload
-        rx, at = self._rx.messages(payload), self._rx.width
-        if not self._integral:
-            return Heard(rx, packet.E_in)
-        if len(rx) == 1:  # the same without the loop
-            U, E, T = payload[at:]
-            return Heard(rx, E, (Integrals(T, U, E),))
-        T = payload[-1]
-        waves = tuple([Integrals(T, payload[at + 2 * i], payload[at + 2 * i + 1]) for i in self._axes])
-        return Heard(rx, sum(each.E for each in waves), waves)
-
-    def _since(self, waves: tuple[Integrals, ...]) -> tuple[Integrals, ...]:
-        """Subtract the integrals of the first message of this session that this end played.
-
-        Where both begin with tick 0, that is all they have come to. A later session's ends begin at ticks of their own,
-        and what a peer sent before this end was there is no queue to play.
-        """
-        if self._before is None:
-            self._before = waves
-        return tuple([Integrals(*[now - then for now, then in zip(each, before, strict=True)])
-                      for each, before in zip(waves, self._before, strict=True)])
 
     def _datagram(
         self, k: int, now: int, tx: tuple[Any, ...], sent: tuple[Integrals, ...] | None, row: tuple[float, ...]
     ) -> bytes | None:
-        payload = self._tx.flat(tx)
-        if sent is not None:
-            payload += (*[number for _, U, E in sent for number in (U, E)], sent[0].T)
-        session = self.session
+        payload = self.format.payload_of(tx, sent)
+        session, places, newest = self.session, self.places, self._reception.newest
         if not isfinite(sum(payload)) and not all(map(isfinite, payload)):
             self.message_failed = True
             return None
         if session.number is None or not session.carries_data:
             return None
-        if self._told is not None and row[self._told] == 0.0:
+        if places.sent is not None and row[places.sent] == 0.0:
             self.saved += 1
             return None
-        newest = self._newest
         echo = None if newest is None else _new(Echo, (newest[1], max(0, now - newest[2])))
         stamp = None
-        if sent is None and self._E_in is not None and isfinite(row[self._E_in]):
-            stamp = float(row[self._E_in])
-        packet = _new(Packet, (self._sends, session.number, k & MOST_SEQ, now, echo, payload, stamp))
-        return encode(packet, self._size)
+        if sent is None and places.E_in is not None and isfinite(row[places.E_in]):
+            stamp = float(row[places.E_in])
+        packet = _new(Packet, (self.format.sends, session.number, k & MOST_SEQ, now, echo, payload, stamp))
+        return encode(packet, self.format.size)
 
 
 def _no_force(scene: Scene, e: str) -> str:
     """Why a law that reads the external force at the end `e` does not run with a device that senses none."""
     whose = {"m": "the hand's force", "s": "the force on the environment"}[e]
-    other = "--set law=wave" if "law" in scene.knobs else "law=Wave() in the scene"
-    cures = [f"take a law that reads none, with {other} at both ends"]
+    law = "--set law=wave" if "law" in scene.knobs else "law=Wave() in the scene"
+    cures = [f"take a law that reads none, with {law} at both ends"]
     if e == "m":
         observer = "--set observer=200" if "observer" in scene.knobs else "observer=200.0 in the scene"
         cures.insert(0, f"have an observer estimate it, with {observer} at both ends")

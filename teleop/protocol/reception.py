@@ -23,7 +23,7 @@ from __future__ import annotations
 from math import inf
 
 from teleop.protocol.estimates import MOST_RTT_NS, LinkEstimates
-from teleop.protocol.packet import Echo
+from teleop.protocol.packet import Echo, Window
 from teleop.protocol.session import Session
 from teleop.protocol.states import Cause
 from teleop.stages.wave_integral import Integrals
@@ -123,3 +123,28 @@ class IntegralCheck:
         if ticks > 0:
             self._at, self._then = seq, waves
         return True
+
+
+class Reception:
+    """State of one session's reception. `dt`: the tick of the grid, s; `rejoined`: it began after the peer's tick 0."""
+
+    __slots__ = ("_first", "integrals", "newest", "rejoined", "shift_ns", "window")
+
+    def __init__(self, dt: float, axes: int, *, rejoined: bool = False) -> None:
+        self.window = Window()  # so that a copy or a replay is no second measurement
+        self.integrals = IntegralCheck(dt, axes)
+        self.newest: tuple[int, int, int] | None = None  # the peer's newest number, its send time, and when it came
+        self.shift_ns = 0  # that this end's grid was moved by
+        self.rejoined = rejoined
+        self._first: Waves | None = None
+
+    def since_first(self, waves: Waves) -> Waves:
+        """Subtract the integrals of the first message of this session that this end played.
+
+        Where both begin with tick 0, that is all they have come to. A later session's ends begin at ticks of their own,
+        and what a peer sent before this end was there is no queue to play.
+        """
+        if self._first is None:
+            self._first = waves
+        return tuple([Integrals(*[now - then for now, then in zip(each, first, strict=True)])
+                      for each, first in zip(waves, self._first, strict=True)])

@@ -87,7 +87,7 @@ def of_session() -> Callable[[bytes], None]:
         now = 10**12
         # Anew, without compiling the scene's text again.
         end.__dict__.update({**plain[e, running], "session": session})
-        end.inbox, end.guard, end.link, end._window = made(scene)
+        end.inbox, end.guard, end.link, end._reception, end._origin = made(scene, e)
         if running:
             begin(session, now, now)
             session.take_data(now)
@@ -104,14 +104,15 @@ def of_session() -> Callable[[bytes], None]:
                     out = end.tick(k, now, still)
                     assert end.force_failed is not None or all(-CAP <= f <= CAP and isfinite(f) for f in out.force)
 
-    def made(scene: Any) -> tuple[Any, ...]:
+    def made(scene: Any, e: str) -> tuple[Any, ...]:
+        from teleop.protocol.endpoint import Origin
         from teleop.protocol.estimates import LinkEstimates
         from teleop.protocol.guard import ForceGuard
         from teleop.protocol.inbox import Inbox
-        from teleop.protocol.packet import Window
+        from teleop.protocol.reception import Reception
 
         return (Inbox(scene.playout, scene.dt_ns), ForceGuard(scene.watchdog, scene.dt_ns / 1e9),
-                LinkEstimates(band_ns=scene.dt_ns // 2), Window())
+                LinkEstimates(band_ns=scene.dt_ns // 2), Reception(scene.dt_ns / 1e9, scene.axes), Origin(scene, e))
 
     plain = {which: {name: value for name, value in end.__dict__.items()
                      if isinstance(value, int | float | tuple | None)} for which, end in parts.items()}

@@ -67,7 +67,7 @@ class Running:
         self.sealed: dict[str, list[bytes]] = {"m": [], "s": []}  # and as it went out
         self.sha = {"m": sha256(), "s": sha256()}  # of rows, forces, packets played and messages sent
         self.most_force = 0.0
-        self.view = View(number, self.ends[at].hears, self.ends[at]._width)
+        self.view = View(number, self.ends[at].format.hears, self.ends[at].format.width)
         self.dice = random.Random(number)
         self._came = self._sent = 0
         self.honest = self.fired = self.words = self.replies = 0
@@ -137,7 +137,7 @@ class Running:
             several, out = link.receive(data, AT["sm"[e == "s"]], self.clock(e))
             self._go(e, [each for each, to in out if to == AT["sm"[e == "s"]]])
         for each in several:
-            packet = decode(each, self.ends[e]._width)
+            packet = decode(each, self.ends[e].format.width)
             assert isinstance(packet, Packet)
             if e == self.at:
                 self.honest += 1

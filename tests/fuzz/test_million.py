@@ -86,7 +86,7 @@ def bounded(run: Running, e: str) -> None:
     inbox = end.inbox
     kept = inbox._queued + inbox.waiting + len(inbox._waits) + len(inbox._coming) + len(inbox._copies)
     assert kept <= 4 * inbox._room
-    assert len(end._window._seen) == 4096
+    assert len(end._reception.window._seen) == 4096
     assert len(end.session._welcomed) <= 1024
     assert len(end.rejected) <= 12
     assert len(end.guard.events) <= 10_000
@@ -157,7 +157,7 @@ def test_an_end_that_waits_for_the_other_answers_no_more_than_it_is_asked(
     scene = fuzzed(1000)
     session = Session(master=e == "m", manifest=manifest_of(scene), number=7 if e == "m" else None)
     end = Endpoint(scene, e, session)
-    hostile = Hostile(random.Random(9), View(10**6, end.hears, end._width), others, [])
+    hostile = Hostile(random.Random(9), View(10**6, end.format.hears, end.format.width), others, [])
     fire, words, answers = Fire(ticks), 0, 0
     for k in range(ticks):
         now = 10**12 + k * MS
@@ -168,7 +168,7 @@ def test_an_end_that_waits_for_the_other_answers_no_more_than_it_is_asked(
                 asks = Packet(Kind.HELLO, hostile.dice.getrandbits(64), 0, now, None, manifest_of(scene))
                 name, data = "asking", encode(asks, hostile.dice.choice((None, 1200)))
             fire.counts[name] += 1
-            packet = decode(data, end._width)
+            packet = decode(data, end.format.width)
             words += isinstance(packet, Packet) and packet.kind not in DATA and session.belongs(packet, now)
             replies = end.receive(data, now)
             assert len(replies) <= 1

@@ -40,7 +40,7 @@ def test_clocks_of_2000_ppm_are_told_with_their_rate_and_by_how_much_the_grids_c
         seconds = (clock.seen_ns - clock.since_ns) / 1e9
         assert apart == pytest.approx((abs(ppm) - 1e6 / SLEW) * seconds / 1e3, abs=abs(ppm) / 1e3 + 5.0)
     slave = both.end("s")
-    behind = abs(slave.link.clock.shift_ns + slave._shifted) / MS
+    behind = abs(slave.link.clock.shift_ns + slave._reception.shift_ns) / MS
     assert behind == pytest.approx(apart, abs=abs(ppm) / 1e3 + 5.0), "as far as the slave's grid really stayed behind"
 
 
@@ -100,8 +100,8 @@ def test_the_summary_has_the_note(pair: Callable[..., Any]) -> None:
     scene = replace(load_scene("hard_wall", duration=6.5), link=None)
     both = pair(scene, wire=Fast)
     slave, master = both.shells["s"], both.shells["m"]
-    slave.wire.width = slave.endpoint._width, master.endpoint._width
-    slave.wire.size = slave.endpoint._size
+    slave.wire.width = slave.endpoint.format.width, master.endpoint.format.width
+    slave.wire.size = slave.endpoint.format.size
     both.run()
     assert both.errors == {"m": None, "s": None}
     told = [[note for note in summary(folder)["notes"] if "ppm" in note] for folder in both.write()]

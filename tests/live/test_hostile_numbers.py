@@ -30,7 +30,7 @@ def hostile(shell: Any, size: float) -> None:
             tx = tuple(type(message)(*[value] * len(message)) for message in tx)
             if sent is not None:  # what its waves have come to
                 sent = tuple(type(one)(one.T, value, size) for one in sent)
-            row = tuple(size if i == end._E_in else number for i, number in enumerate(row))
+            row = tuple(size if i == end.places.E_in else number for i, number in enumerate(row))
         data: bytes | None = honest(k, now, tx, sent, row)
         return data
 

@@ -37,7 +37,7 @@ AT = 540  # the tick of what happens
 
 
 class Felt:
-    """A device that acts at a tick with over 1 N on it, and keeps every force that it was given."""
+    """A device that acts at a tick with over 2 N on it, and keeps every force that it was given."""
 
     def __init__(self, scene: Any, e: str, act: Callable[[Reading], Reading] = lambda reading: reading) -> None:
         self.inner, self.act, self.k, self.held, self.at = DEVICES[e](scene), act, -1, [0.0], [-1]
@@ -48,7 +48,7 @@ class Felt:
     def read(self, k: int) -> Reading:
         self.k = k
         reading: Reading = self.inner.read(k)
-        if k < AT or self.acted is not None or abs(self.held[-1]) <= 1.0:  # a busy machine's silence lets go of it too
+        if k < AT or self.acted is not None or abs(self.held[-1]) <= 2.0:  # a busy machine's silence lets go of it too
             return reading
         self.acted = k  # a tick may be missed
         return self.act(reading)

@@ -196,14 +196,14 @@ def undisturbed() -> Both:
 
 def forged(both: Both, e: str, k: int, **changes: Any) -> bytes:
     """A packet of this session as it might come to end `e` at tick k, with something changed."""
-    width = both.ends[e]._width
+    width = both.ends[e].format.width
     good = Packet(Kind.FORTH, 7, k, START + k * MS, Echo(START, 5), (123.0,) * width, 1.0)
     return encode(good._replace(**changes))
 
 
 def unchecked(both: Both, e: str, k: int, **changes: Any) -> bytes:
     """The same without the help of `encode`: fields that it would not write."""
-    packet = decode(forged(both, e, k), both.ends[e]._width)
+    packet = decode(forged(both, e, k), both.ends[e].format.width)
     assert isinstance(packet, Packet)
     body = msgpack.packb([*packet._replace(**changes)[1:]])
     return sealed(struct.pack("!2sBBH", b"BT", VERSION, 0, len(body)) + body)

@@ -35,7 +35,7 @@ class Joined:
         for end in self.ends.values():
             begin(end.session, START - base * MS, START)
             end.join(base)
-            self.width = end._width
+            self.width = end.format.width
         for k in range(COUNT):
             now = START + k * MS
             for e, other in ("ms", "sm"):

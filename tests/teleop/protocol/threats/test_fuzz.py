@@ -73,7 +73,7 @@ def under_fire(seed: int, noise: list[bytes], shots: int) -> tuple[int, int]:
     """Fire at one end, in one of the states it can be in; how many datagrams, and how many messages it took in."""
     dice = random.Random(seed)
     given, e = dice.choice(FUZZED), dice.choice("ms")
-    end, others = met(given)[e], met(given)["sm"[e == "s"]]._width
+    end, others = met(given)[e], met(given)["sm"[e == "s"]].format.width
     running = dice.random() < 0.8
     if not running:  # nobody there yet, or in the middle of the first exchange
         end = Endpoint(given, e, Session(master=e == "m", manifest=MANIFEST, number=OURS if e == "m" else None))
@@ -82,18 +82,18 @@ def under_fire(seed: int, noise: list[bytes], shots: int) -> tuple[int, int]:
     heard: set[int] = set()
     now, k, taken = START, 0, 0
     for i in range(shots):
-        made = extreme(dice, end._width)
+        made = extreme(dice, end.format.width)
         good = encode(made)
         shot = dice.choice([good, good, spoilt(dice, good), ill_made(dice, made), dice.choice(kept or [good]),
                             dice.choice(noise)])
         kept = [*kept[-50:], good]
-        packet = decode(shot, end._width)
+        packet = decode(shot, end.format.width)
         began = end.session.start_ns
         before, most, over = end.received, end.presence.most_ahead(), end.session.ended is not None
         replies = end.receive(shot, now)
-        assert all(isinstance(decode(reply, end._width), Packet) for reply in replies)
+        assert all(isinstance(decode(reply, end.format.width), Packet) for reply in replies)
         valid = isinstance(packet, Packet) and packet.session == end.session.number and began is not None
-        honest = valid and isinstance(packet, Packet) and packet.kind is end.hears
+        honest = valid and isinstance(packet, Packet) and packet.kind is end.format.hears
         if honest and isinstance(packet, Packet):
             near = max(end._tick, -((began - now) // MS))
             seq = unwrapped(packet.seq, near)

@@ -100,7 +100,7 @@ def test_a_peer_that_claims_endless_energy_is_bounded_by_cap_and_slew(U: float, 
 def test_a_peer_that_claims_endless_energy_gives_out_no_more_power_than_the_budget_has() -> None:
     limited = replace(INTEGRAL, cap=Cap(f_max=20.0, slew=2000.0, power=0.05))
     end = met(limited)["s"]
-    came = encode(Packet(end.hears, 7, 0, at(0), None, (0.1, 1e3, 1e9, 1e-3)))
+    came = encode(Packet(end.format.hears, 7, 0, at(0), None, (0.1, 1e3, 1e9, 1e-3)))
     end.receive(came, at(1))
     moved = STILL._replace(v=(0.5,))
     spent, forces = 0.0, []
