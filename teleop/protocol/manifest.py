@@ -126,10 +126,10 @@ def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> s
     if not apart:
         return None
     name, *rest = _causes(apart)
-    here, there = ((end.get(name, "missing") or "empty")[:LONGEST] for end in (mine, theirs))
+    own_text, peer_text = ((end.get(name, "missing") or "empty")[:LONGEST] for end in (mine, theirs))
     if name == "law" and (knob := _law_difference(mine.get(name, ""), theirs.get(name, ""))) is not None:
-        name, here, there = knob
-        cure = f"start both ends with the same --set {name}={here}"
+        name, own_text, peer_text = knob
+        cure = f"start both ends with the same --set {name}={own_text}"
     elif name in _CURES:
         cure = _CURES[name]
     elif name in _OF_AXES:
@@ -141,7 +141,7 @@ def manifest_difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> s
     else:
         cure = "install the same release, and the same scene file, at both ends"
     others = f" ({len(rest)} more {plural(len(rest), 'differs', 'differ')})" if rest else ""
-    return f"{name} is {here} here and {there} there{others}: {cure}"
+    return f"{name} is {own_text} here and {peer_text} there{others}: {cure}"
 
 
 def _any_scenes() -> Iterable[str]:
@@ -155,10 +155,10 @@ def _law_difference(mine: str, theirs: str) -> tuple[str, str, str] | None:
     """The knob `law.NAME` in which two laws of one kind differ, and its numbers here and there, one for each axis."""
     if "|" in mine or _without_numbers(mine) != _without_numbers(theirs):
         return None
-    here, there = (_FIELD.findall(text) for text in (mine, theirs))
-    for name in dict.fromkeys(name for name, _ in here):
-        values, other = ([value for each, value in end if each == name] for end in (here, there))
-        texts = [each[0] if len(set(each)) == 1 else ",".join(each) for each in (values, other)]
+    fields = [_FIELD.findall(text) for text in (mine, theirs)]
+    for name in dict.fromkeys(name for name, _ in fields[0]):
+        values = [[value for each, value in end if each == name] for end in fields]
+        texts = [each[0] if len(set(each)) == 1 else ",".join(each) for each in values]
         if texts[0] != texts[1]:
             return f"law.{name}", texts[0][:LONGEST], texts[1][:LONGEST]
     return None

@@ -160,14 +160,14 @@ def _nonlinear_parts(scene: Scene) -> tuple[list[InTheWay], Scene]:
     devices = {name: scene.per_axis(name) for name in ("device_m", "device_s")}
     if any(device is not None and device.encoder is not None for each in devices.values() for device in each):
         parts.append(InTheWay("an encoder", typed_off(scene, step="none"), "leave the encoder out"))
-        changes |= {name: tuple([device and replace(device, encoder=None) for device in own])
-                    for name, own in devices.items() if getattr(scene, name) is not None}
+        changes |= {name: tuple([device and replace(device, encoder=None) for device in axes])
+                    for name, axes in devices.items() if getattr(scene, name) is not None}
     bodies = {name: scene.per_axis(name) for name in ("master", "slave")}
     if any(body is not None and body.friction > 0.0 for each in bodies.values() for body in each):
         typed = typed_off(scene, friction="0", friction_m="0", friction_s="0")
         parts.append(InTheWay("Coulomb friction", typed, "set friction=0"))
-        changes |= {name: tuple([replace(body, friction=0.0) for body in own])
-                    for name, own in bodies.items() if getattr(scene, name) is not None}
+        changes |= {name: tuple([replace(body, friction=0.0) for body in axes])
+                    for name, axes in bodies.items() if getattr(scene, name) is not None}
     bare = replace(scene, **changes)
     curved = _nonlinear_environments(bare)
     if curved:

@@ -294,12 +294,12 @@ def _behind(scene: Scene, device: Any, T: float) -> Behind | None:
     C, E, delta = offered.C, offered.E, scene.master.damping
     gamma, lacks = coupling.least_real(C, T), coupling.lack_behind(offered, T)
     exact = device.every == 1 and offered.series  # the derivation's own conditions
-    others = {name: own for name, law in offered.others.items() if (own := coupling_of(law, T)) is not None}
+    others = {name: coupled for name, law in offered.others.items() if (coupled := coupling_of(law, T)) is not None}
     return Behind(
         C=C, E=E, alpha=lacks, gamma=gamma, miller=coupling.alpha_miller(delta, gamma),
         most=coupling.alpha_max(delta, C, T, d=device.delay) if exact else None, conditions=exact,
         passive_needs=coupling.needed_damping(C, 0.0, T, d=device.delay).damping,
         alone=sampled.needed_damping(E, T, d=device.delay, every=device.every).damping,
-        stiffness=coupling.stiffness(E, T), by={name: own.E for name, own in others.items()},
-        integrators={name: coupling.lack_behind(own, T) for name, own in others.items()},
+        stiffness=coupling.stiffness(E, T), by={name: law.E for name, law in others.items()},
+        integrators={name: coupling.lack_behind(law, T) for name, law in others.items()},
     )

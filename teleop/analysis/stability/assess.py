@@ -71,7 +71,7 @@ class Stability:
     @property
     def worst(self) -> AxisStability | None:
         """The axes whose mode decays last, or grows first; None where the whole loop was judged."""
-        return max(self.axes, key=lambda one: one.found.mode.growth if one.found.mode else -inf, default=None)
+        return max(self.axes, key=lambda one: one.stability.mode.growth if one.stability.mode else -inf, default=None)
 
     @property
     def delay_margin(self) -> int | None:
@@ -83,7 +83,7 @@ class AxisStability(NamedTuple):
     """Stability of axes that are alike, each by itself."""
 
     names: tuple[str, ...]
-    found: Stability
+    stability: Stability
 
 
 class Change(NamedTuple):
@@ -138,19 +138,19 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
 
 def _of_axes(axes: list[AxisStability]) -> Stability:
     """The loop of a scene whose axes do not touch each other: the roots of all of them."""
-    shaky = [one.found for one in axes if one.found.unstable]
-    gains = [one.gain_margin for one in shaky or [one.found for one in axes]]
+    shaky = [one.stability for one in axes if one.stability.unstable]
+    gains = [one.gain_margin for one in shaky or [one.stability for one in axes]]
     known = [gain for gain in gains if gain is not None]
-    critical = [one.found.critical_round_trip for one in axes if one.found.critical_round_trip is not None]
-    tried = [one.found.tried for one in axes if one.found.tried is not None]
-    first = axes[0].found
+    critical = [one.stability.critical_round_trip for one in axes if one.stability.critical_round_trip is not None]
+    tried = [one.stability.tried for one in axes if one.stability.tried is not None]
+    first = axes[0].stability
     whole = replace(
-        first, unstable=sum(len(one.names) * one.found.unstable for one in axes),
-        integrators=sum(len(one.names) * one.found.integrators for one in axes),
+        first, unstable=sum(len(one.names) * one.stability.unstable for one in axes),
+        integrators=sum(len(one.names) * one.stability.integrators for one in axes),
         gain_margin=None if not known or (shaky and len(known) < len(gains)) else min(known),
         critical_round_trip=min(critical, default=None), tried=min(tried, default=None), axes=tuple(axes),
     )
-    return replace(whole, mode=None if whole.worst is None else whole.worst.found.mode)
+    return replace(whole, mode=None if whole.worst is None else whole.worst.stability.mode)
 
 
 def _one_port(scene: Scene) -> Stability:

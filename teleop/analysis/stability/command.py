@@ -58,9 +58,10 @@ def _with_plots(args: Namespace, judged: StabilityAnswer) -> Answer:
                               tell=lambda done: show(done / len(values), f"margins over {knob}"))
         except KeyboardInterrupt:
             judged = judged._replace(cut_short=True)
-    assert isinstance(judged.found, Stability)  # `find` refuses the other
+    stability = judged.assessment
+    assert isinstance(stability, Stability)  # `find` refuses the other
     with interrupts_wait():
-        drawn = picture(judged.scene, unstable=judged.found.unstable > 0, gain_margin=judged.found.gain_margin,
+        drawn = picture(judged.scene, unstable=stability.unstable > 0, gain_margin=stability.gain_margin,
                         seed=args.seed)
     plots = {"stability": partial(draw, judged, drawn)}
     if swept is not None:

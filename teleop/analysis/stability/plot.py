@@ -95,7 +95,7 @@ def _marks(axes: Axes, x: Any, y: Any, z: Any, dominant: complex | None) -> None
 
 
 def _dominant(answer: StabilityAnswer) -> complex | None:
-    mode = getattr(answer.found, "mode", None)
+    mode = getattr(answer.assessment, "mode", None)
     return None if mode is None else complex(mode.z.real, abs(mode.z.imag))
 
 
@@ -152,7 +152,7 @@ def _z_plane(axes: Axes, drawn: Picture) -> None:
 
 
 def _describe_gain(answer: StabilityAnswer) -> str:
-    gain = getattr(answer.found, "gain_margin", None)
+    gain = getattr(answer.assessment, "gain_margin", None)
     if gain is None:
         return "no gain margin"
     return f"gain margin {gain:.4g} ({20.0 * log10(gain):+.3g} dB)"
@@ -177,7 +177,7 @@ def _bode(magnitude: Axes, phase: Axes, answer: StabilityAnswer, loop: OpenLoop)
         for axes in (magnitude, phase):
             axes.axvline(loop.gain_crossover, color=GREEN, linestyle="--", linewidth=1.0,
                          label=f"{words}, {si(loop.gain_crossover, 'Hz')}" if axes is magnitude else None)
-    gain = getattr(answer.found, "gain_margin", None)
+    gain = getattr(answer.assessment, "gain_margin", None)
     if loop.phase_crossover and gain is not None:
         for axes in (magnitude, phase):
             axes.axvline(loop.phase_crossover, color=FAILS, linestyle=":", linewidth=1.2,
@@ -225,7 +225,7 @@ def _nyquist(axes: Axes, answer: StabilityAnswer, loop: OpenLoop) -> None:
     around = np.exp(1j * np.linspace(0.0, 2.0 * pi, 361))
     axes.plot(around.real, around.imag, color=DARK, linewidth=0.6, linestyle=":")
     axes.plot([-1.0], [0.0], "+", color=FAILS, markersize=11, markeredgewidth=1.8, label="-1")
-    gain = getattr(answer.found, "gain_margin", None)
+    gain = getattr(answer.assessment, "gain_margin", None)
     if gain is not None and turns <= MOST_TURNS:
         axes.plot([-1.0 / gain], [0.0], "o", color=FAILS, markersize=6, label=_describe_gain(answer))
     if loop.phase_margin is not None and turns <= MOST_TURNS:

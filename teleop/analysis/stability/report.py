@@ -61,7 +61,7 @@ class StabilityAnswer(NamedTuple):
     """Result of the analysis: verdict, continuous limit and critical value."""
 
     scene: Scene
-    found: Stability | FreeMotion
+    assessment: Stability | FreeMotion
     limit: Continuous | None
     edge: Critical | None
     unit: str = ""  # of its knob, with a space before it, where the scene names one
@@ -84,13 +84,13 @@ class StabilityAnswer(NamedTuple):
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        found = self.found
-        if not isinstance(found, Stability):
-            return f"{found.verdict}: {found.sentence}"
-        count = f"{found.unstable or 'no'} {plural(found.unstable or 1, 'root')}"
-        shaky = [name for one in found.axes if one.found.unstable for name in one.names]
-        where = f" ({enumerated(shaky)})" if shaky and len(found.axes) > 1 else ""
-        return f"{found.verdict}: {count} outside the unit circle{where}"
+        assessment = self.assessment
+        if not isinstance(assessment, Stability):
+            return f"{assessment.verdict}: {assessment.sentence}"
+        count = f"{assessment.unstable or 'no'} {plural(assessment.unstable or 1, 'root')}"
+        shaky = [name for one in assessment.axes if one.stability.unstable for name in one.names]
+        where = f" ({enumerated(shaky)})" if shaky and len(assessment.axes) > 1 else ""
+        return f"{assessment.verdict}: {count} outside the unit circle{where}"
 
 
 def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool = False, continuous: bool = False,
@@ -111,20 +111,20 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     scene_value = None if knob is None else own_value(scene, knob)
     low, high = (0.0, 0.0) if knob is None or scene_value is None else _span(knob, scene_value, span)
     closeness = None if tol is None else typed_number("--tol", tol, example="0.01", above=0.0)
-    found: Stability | FreeMotion
+    assessment: Stability | FreeMotion
     limit = None
     if in_time:
         from teleop.analysis.stability.assess import swing
 
-        found = swing(scene, seed=seed)
+        assessment = swing(scene, seed=seed)
     else:
-        found = stability(scene, seed=seed)
+        assessment = stability(scene, seed=seed)
     if continuous:
         from teleop.analysis.models.continuous import continuous as without_clock
 
         limit = without_clock(scene)
     if knob is None or scene_value is None:
-        return StabilityAnswer(scene, found, limit, None, seed=seed, in_time=in_time)
+        return StabilityAnswer(scene, assessment, limit, None, seed=seed, in_time=in_time)
 
     def make(value: float) -> Scene:
         return load_scene(name, **{**knobs, knob: value})
@@ -133,7 +133,7 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
 
     unit = units_of(name, [knob], type(scene.laws[0])).get(knob)
     search = _KnobSearch(knob, scene_value, f" {unit}" if unit else "", in_time, show)
-    answer = StabilityAnswer(scene, found, limit, None, search.unit, seed, in_time=in_time)
+    answer = StabilityAnswer(scene, assessment, limit, None, search.unit, seed, in_time=in_time)
     whole = _whole(name, knob)
     try:
         if in_time:
@@ -227,19 +227,20 @@ def _span(knob: str, scene_value: float, typed: str | None) -> tuple[float, floa
 def summary(answer: StabilityAnswer, command: Sequence[str] = (), drawn: Mapping[str, Any] | None = None
             ) -> dict[str, Any]:
     """The JSON document, with the numbers of what is `drawn`."""
-    found = answer.found
+    assessment = answer.assessment
     limit, edge = answer.limit, answer.edge
-    body: dict[str, Any] = {"verdict": found.verdict, "linear_law": answer.stands_in or None}
-    if isinstance(found, Stability):
-        body |= {"method": "roots", "unstable": found.unstable, "integrators": found.integrators,
-                 "fwd": WithUnit(found.forth, "ticks"), "bwd": WithUnit(found.back, "ticks"),
-                 "round_trip": WithUnit(found.round_trip, "ticks"), **_margins(found)}
-        if found.axes:
+    body: dict[str, Any] = {"verdict": assessment.verdict, "linear_law": answer.stands_in or None}
+    if isinstance(assessment, Stability):
+        body |= {"method": "roots", "unstable": assessment.unstable, "integrators": assessment.integrators,
+                 "fwd": WithUnit(assessment.forth, "ticks"), "bwd": WithUnit(assessment.back, "ticks"),
+                 "round_trip": WithUnit(assessment.round_trip, "ticks"), **_margins(assessment)}
+        if assessment.axes:
             body["axes"] = [{"names": list(names), "verdict": alone.verdict, "unstable": alone.unstable,
-                             "integrators": alone.integrators, **_margins(alone)} for names, alone in found.axes]
+                             "integrators": alone.integrators, **_margins(alone)} for names, alone in assessment.axes]
     else:
-        body |= {"method": "virtual time", "amplitude": WithUnit(found.amplitude, labels_of(answer.scene).unit("m")),
-                 "frequency": WithUnit(found.frequency, "Hz"), "rests": found.rests}
+        unit = labels_of(answer.scene).unit("m")
+        body |= {"method": "virtual time", "amplitude": WithUnit(assessment.amplitude, unit),
+                 "frequency": WithUnit(assessment.frequency, "Hz"), "rests": assessment.rests}
     body["continuous"] = limit and {**limit._asdict(), "round_trip": WithUnit(limit.round_trip, "s"),
                                     "frequency": WithUnit(limit.frequency, "Hz")}
     body["critical"] = edge and {**_in_unit(edge, answer.unit), "all": [_in_unit(one, answer.unit) for one in edge.all]}
@@ -267,11 +268,11 @@ def _in_unit(edge: Critical | Change, unit: str) -> dict[str, Any]:
 
 def table(answer: StabilityAnswer) -> str:
     """The answer in a few lines."""
-    found, limit, edge = answer.found, answer.limit, answer.edge
+    assessment, limit, edge = answer.assessment, answer.limit, answer.edge
     rows = [("scene", titled(answer.scene)), ("verdict", answer.sentence)]
     if answer.stands_in:
         rows.append(("law", answer.stands_in))
-    rows += _roots(found) if isinstance(found, Stability) else []
+    rows += _roots(assessment) if isinstance(assessment, Stability) else []
     if limit is not None:
         rows.append(("continuous", _without_clock(limit)))
     if edge is not None:
@@ -280,15 +281,15 @@ def table(answer: StabilityAnswer) -> str:
         rows.append(("interrupted", _unfinished(answer.so_far, answer)))
     if answer.cut_short:
         rows.append(("interrupted", "the margins over the knob are missing, and their plot"))
-    if not isinstance(found, Stability) or answer.scene.axes == 1:
+    if not isinstance(assessment, Stability) or answer.scene.axes == 1:
         return facts(rows)
-    if not found.axes:
+    if not assessment.axes:
         rows.append(("axes", f"judged together: {coupling_law(answer.scene)}"))
         return facts(rows)
-    if len(found.axes) == 1:
-        rows.append(("axes", f"{enumerated(found.axes[0].names)} have the same loop"))
+    if len(assessment.axes) == 1:
+        rows.append(("axes", f"{enumerated(assessment.axes[0].names)} have the same loop"))
         return facts(rows)
-    return f"{facts(rows)}\n\n{_by_axis(found)}"
+    return f"{facts(rows)}\n\n{_by_axis(assessment)}"
 
 
 def _by_axis(stability: Stability) -> str:

@@ -322,13 +322,15 @@ def reference_bodies(scene: Scene, solver: str, *, rtol: float | None = None, st
     """
     steps = Steps() if steps is None else steps
 
-    def beside(other: Callable[..., Found], own: Move, state: tuple[Any, ...], z: Any) -> tuple[Found, Any]:
+    def beside(
+        solver_step: Callable[..., Found], stack_step: Move, state: tuple[Any, ...], z: Any
+    ) -> tuple[Found, Any]:
         """The solver's step, and the inner state after the stack's own, which is counted."""
         if tell is not None:
             tell()
-        found, mine = other(*state), own(z)
-        steps.add(mine[:2], found[:2], changed=found[2] > 0, integrated=mine[-1] is not z)
-        return found, mine[-1]
+        exact, after = solver_step(*state), stack_step(z)
+        steps.add(after[:2], exact[:2], changed=exact[2] > 0, integrated=after[-1] is not z)
+        return exact, after[-1]
 
     return bodies_moved(scene, solver, rtol or LONG[solver], beside)
 
@@ -345,15 +347,16 @@ def bodies_moved(scene: Scene, solver: str, rtol: float, watch: Watch) -> Bodies
         if (equation := core_of(still)) is None:
             return still
         side, at, core = equation
-        own = still.start
+        stack_state = still.start
 
         def by_solver(x: float, v: float, f: float, s: float) -> Found:
             p, u, changes = settle(core, side * (x - at), side * v, side * f, side * s, dt, solver, rtol)
             return at + side * p, side * u, changes
 
         def move(_: Any, x: float, v: float, f: float, z: Any, s: float = 0.0) -> tuple[Any, ...]:
-            nonlocal own
-            (x1, v1, _), own = watch(by_solver, lambda own: still.move(still.c, x, v, f, own, s), (x, v, f, s), own)
+            nonlocal stack_state
+            (x1, v1, _), stack_state = watch(
+                by_solver, lambda state: still.move(still.c, x, v, f, state, s), (x, v, f, s), stack_state)
             return x1, v1, 0, z
 
         return still._replace(move=move, report=None)
@@ -370,8 +373,8 @@ def bodies_moved(scene: Scene, solver: str, rtol: float, watch: Watch) -> Bodies
         return r1 + y, s + w, changes
 
     def move_held(c: Any, x: float, v: float, f_m: float, r0: float, r1: float, z: Any) -> tuple[float, float, Any]:
-        own, state = next(inner), (x, v, f_m, r0, r1)
-        (x1, v1, _), own[0] = watch(hold_by_solver, lambda z: stock(c, *state, z), state, own[0])
+        axis, state = next(inner), (x, v, f_m, r0, r1)
+        (x1, v1, _), axis[0] = watch(hold_by_solver, lambda z: stock(c, *state, z), state, axis[0])
         return x1, v1, z
 
     return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move_held}, report_m=None)

@@ -172,14 +172,14 @@ def _foretold(scene: Scene, seed: int, clock: Callable[[], int], ticks: int) -> 
     for solver, rtol in LONG.items():
         made, timed, spent = 0, 0, 0
 
-        def watch(other: Any, own: Any, state: tuple[Any, ...], z: Any) -> tuple[Any, Any]:
+        def watch(solver_step: Any, stack_step: Any, state: tuple[Any, ...], z: Any) -> tuple[Any, Any]:
             nonlocal made, timed, spent
             if made % every == 0:
                 began = clock()
-                other(*state)
+                solver_step(*state)
                 spent, timed = spent + clock() - began, timed + 1
             made += 1
-            x, v, *_, z = own(z)
+            x, v, *_, z = stack_step(z)
             return (x, v, 0), z
 
         run(scene, seed=seed, bodies=bodies_moved(scene, solver, rtol, watch))
