@@ -1,6 +1,7 @@
 """What is common to all tests: which run when, side by side with what, and how hypothesis draws its examples.
 
-The long ones run only when they are asked for: `pytest -m soak`, `pytest -m fuzz`. The rest goes file by file to as
+The long ones run only when they are asked for: `pytest -m soak`, `pytest -m fuzz`. So do style, types and import rules,
+which are a job of their own: `pytest -m house`, or by the name of their file. The rest goes file by file to as
 many workers as `-n` says, and whatever starts processes and looks at the clock to one of them, one after the other, so
 that no two of these wait for each other. The pages before stand-ins of the ends, and the browsers before stand-ins of
 the page's server, go to another. These two sleep most of their time, so there is a worker more than there are cores.
@@ -22,7 +23,7 @@ from xdist.scheduler import LoadScopeScheduling
 
 from tests.programs import uses_programs
 
-LONG = ("soak", "fuzz")
+ASKED_FOR = {"soak": "takes minutes", "fuzz": "takes minutes", "house": "is a job of its own"}
 TIMED = (
     "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/",
 )
@@ -45,18 +46,18 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what can start a program; skip what takes minutes, unless its marker is named; refuse a name that each
-    worker has otherwise.
-    """
-    asked = str(config.getoption("-m"))
+    """Mark what can start a program; skip what has to be asked for; refuse a name that each worker has otherwise."""
+    markers = str(config.getoption("-m"))
+    arguments = config.invocation_params.args
     for item in items:
         if uses_programs(item):
             item.add_marker("program")
         if " at 0x" in item.name:  # the workers would end with "Different tests were collected"
             raise pytest.UsageError(f"{item.nodeid} is named by an address in memory; give its parameters ids")
-        for name in LONG:
-            if item.get_closest_marker(name) is not None and name not in asked:  # a folder is a keyword too
-                item.add_marker(pytest.mark.skip(reason=f"takes minutes: pytest -m {name}"))
+        for name, why in ASKED_FOR.items():
+            is_named = name == "house" and any(item.path.name in str(argument) for argument in arguments)
+            if item.get_closest_marker(name) and name not in markers and not is_named:  # a folder is a keyword too
+                item.add_marker(pytest.mark.skip(reason=f"{why}: pytest -m {name}"))
 
 
 class ByFile(LoadScopeScheduling):  # type: ignore[misc]  # it has no types

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.house
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("teleop", "master", "slave", "channel", "scenarios")
 
