@@ -85,9 +85,11 @@ def test_a_service_that_is_started_again_in_a_run_is_found_again(
     there, _ = service("vector", url.rpartition(":")[2])
     pushes(there, lambda force: force >= 0.1)  # by the ramp
     assert [end.end()[0] for end in (master, slave)] == [0, 0]
-    events = [(event["what"], event["why"]) for event in read_events(tmp_path / "master")]
-    assert any(what == "safe" and "Inverse service" in why for what, why in events)
-    assert [what for what, _ in events if what in ("safe", "released")] == ["safe", "released"] * 2
+    events = [event for event in read_events(tmp_path / "master") if event["what"] in ("safe", "released")]
+    lost = next(i for i, event in enumerate(events) if event["what"] == "safe" and "Inverse service" in event["why"])
+    # On a busy machine the link may fall silent in between, too.
+    assert "released" in [event["what"] for event in events[:lost]]
+    assert "released" in [event["what"] for event in events[lost:]]
 
 
 def test_the_force_is_let_go_for_a_master_that_is_killed(
