@@ -30,7 +30,7 @@ from teleop.scene.library import (
     own_module,
     scene_function,
 )
-from teleop.stages.velocity.named import ESTIMATORS
+from teleop.stages.velocity import ESTIMATORS
 
 
 class Named(NamedTuple):

@@ -249,7 +249,7 @@ def read(key: str, value: object, hint: Any, declaration: Declared = _PLAIN) -> 
     if key == "law" or Law in kinds or OnePortLaw in kinds:
         return _law(key, value, declaration.default)
     if any(getattr(kind, "__name__", "") == "VelocityEstimator" for kind in kinds) and isinstance(value, str):
-        from teleop.stages.velocity.named import ESTIMATORS
+        from teleop.stages.velocity import ESTIMATORS
 
         return ESTIMATORS.read(value)
     if str in kinds and isinstance(value, str):

@@ -7,10 +7,10 @@ import pytest
 from teleop import load_scene
 from teleop.errors import Refused
 from teleop.naming import find
+from teleop.stages.velocity import ESTIMATORS
 from teleop.stages.velocity.adaptive_window import EndFit
 from teleop.stages.velocity.levant import Levant
 from teleop.stages.velocity.low_pass import LowPass
-from teleop.stages.velocity.named import ESTIMATORS
 
 
 @pytest.mark.parametrize(("text", "part"), [

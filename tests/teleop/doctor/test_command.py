@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop.doctor import command, machine
+from teleop.doctor import command
 
 LATE = {"ticks": 900, "left_out": 0, "precise": True, "late_us": {"p50": 50.0, "p99": 120.0, "p100": 900.0}}
 MEASURED: dict[str, Any] = {
@@ -24,7 +24,7 @@ MEASURED: dict[str, Any] = {
 @pytest.fixture(autouse=True)
 def measured(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the probe told, without waiting for it."""
-    monkeypatch.setattr(machine, "measure", lambda: MEASURED)
+    monkeypatch.setattr(command, "measure", lambda: MEASURED)
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_it_says_of_each_thing_whether_it_is_good_and_what_to_type_where_it_is_n
     typed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = {**MEASURED, "scheduler": "no (Operation not permitted)", "realtime": None}
-    monkeypatch.setattr(machine, "measure", lambda: told)
+    monkeypatch.setattr(command, "measure", lambda: told)
     monkeypatch.setattr("teleop.live.process.realtime.cure", lambda *, for_good: f"type this, {for_good}")
     lines = [" ".join(line.split()) for line in typed("doctor").out.splitlines()]
     at = lines.index("real time poor: a live end gets scheduler no (Operation not permitted), memory locked")
@@ -94,7 +94,7 @@ def test_as_json_it_has_every_number_that_was_measured(typed: Callable[..., Any]
 def test_where_nothing_could_be_measured_the_rest_is_told(
     typed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(machine, "measure", lambda: {"error": "its process did not come up"})
+    monkeypatch.setattr(command, "measure", lambda: {"error": "its process did not come up"})
     said = typed("doctor").out
     assert "poor: nothing could be measured, for its process did not come up" in said
     assert "numpy" in said

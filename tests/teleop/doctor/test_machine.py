@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from teleop.doctor import machine
-from teleop.doctor.machine import Finding
+from teleop.doctor import command
+from teleop.doctor.command import Finding
 
 CURE = "type this for real-time scheduling"
 
@@ -27,7 +27,7 @@ def over(**also: Any) -> dict[str, Any]:
 
 class TestTheTimer:
     def test_is_judged_by_what_a_live_end_gets(self) -> None:
-        found = machine.timer({"ordinary": ticks(9000.0), "realtime": ticks()}, None)
+        found = command.timer({"ordinary": ticks(9000.0), "realtime": ticks()}, None)
         assert found.good
         assert found.cure is None
         assert found.says == (
@@ -39,32 +39,32 @@ class TestTheTimer:
     def test_is_good_up_to_half_a_tick_late_and_one_in_a_hundred_left_out(
         self, told: dict[str, Any], good: bool
     ) -> None:
-        found = machine.timer({"ordinary": told, "realtime": None}, CURE)
+        found = command.timer({"ordinary": told, "realtime": None}, CURE)
         assert found.good == good
         assert ("good are 99 % under 500 us and 1% left out at most" in found.says) == (not good)
 
     def test_that_is_late_without_real_time_scheduling_is_cured_by_that(self) -> None:
-        assert machine.timer({"ordinary": ticks(2000.0), "realtime": None}, CURE).cure == CURE
+        assert command.timer({"ordinary": ticks(2000.0), "realtime": None}, CURE).cure == CURE
 
     def test_that_is_late_with_it_says_what_else_to_type(self) -> None:
-        cure = machine.timer({"ordinary": ticks(), "realtime": ticks(2000.0)}, None).cure
+        cure = command.timer({"ordinary": ticks(), "realtime": ticks(2000.0)}, None).cure
         assert cure is not None
         assert "--spin" in cure
 
     def test_that_is_not_precise_is_poor_whatever_it_measured(self) -> None:
-        found = machine.timer({"ordinary": ticks(precise=False), "realtime": None}, None)
+        found = command.timer({"ordinary": ticks(precise=False), "realtime": None}, None)
         assert not found.good
         assert "no timerfd" in found.says
 
     def test_that_hardly_ever_ran_says_so(self) -> None:
-        found = machine.timer({"ordinary": {**ticks(left_out=899), "late_us": {}}, "realtime": None}, CURE)
+        found = command.timer({"ordinary": {**ticks(left_out=899), "late_us": {}}, "realtime": None}, CURE)
         assert not found.good
         assert "nearly all of 900 left out" in found.says
 
 
 class TestLoopbackAndBuffer:
     def test_that_are_good_say_so_in_numbers(self) -> None:
-        loopback, buffer = machine.link(over())
+        loopback, buffer = command.link(over())
         assert loopback == Finding("loopback", True, "none of 3000 round trips lost, half of the round trips under "
                                    "13.0 us, 99 % under 20.0 us; the kernel says when each came")
         assert buffer == Finding("buffer", True, "holds 2520 datagrams, 2.52 s of messages at 1 kHz")
@@ -72,36 +72,36 @@ class TestLoopbackAndBuffer:
     @pytest.mark.parametrize("also", [
         {"lost": 1}, {"lost": 3000, "round_trip_us": {}}, {"round_trip_us": {"p50": 9.0, "p99": 1001.0, "p100": 2e3}}])
     def test_that_loses_or_is_slow_is_poor(self, also: Mapping[str, Any]) -> None:
-        found = machine.link(over(**also))[0]
+        found = command.link(over(**also))[0]
         assert not found.good
         assert found.cure is not None
         assert "good are none lost, and 99 % under 1.00 ms" in found.says
 
     def test_without_stamps_of_the_kernel_says_what_that_costs(self) -> None:
-        assert "what is read late counts as late" in machine.link(over(stamps=False))[0].says
+        assert "what is read late counts as late" in command.link(over(stamps=False))[0].says
 
     @pytest.mark.parametrize(("holds", "good"), [(800, True), (799, False), (278, False)])
     def test_a_buffer_holds_as_long_as_an_end_is_silent_before_it_is_safe(self, holds: int, good: bool) -> None:
-        found = machine.link(over(buffer={"asked": 1 << 20, "given": 212992, "holds": holds, "of": 4000}))[1]
+        found = command.link(over(buffer={"asked": 1 << 20, "given": 212992, "holds": holds, "of": 4000}))[1]
         assert found.good == good
         if not good:
             assert "net.core.rmem_max=1048576" in str(found.cure)
 
     def test_without_a_loopback_there_is_one_sentence(self) -> None:
-        found, = machine.link({"error": "Network is unreachable"})
+        found, = command.link({"error": "Network is unreachable"})
         assert not found.good
         assert "Network is unreachable" in found.says
 
 
 class TestFrequency:
     def test_is_not_judged_where_it_cannot_be_read(self) -> None:
-        assert machine.governor({}, in_time=False) == Finding(
+        assert command.governor({}, in_time=False) == Finding(
             "frequency", None, "this system does not say how its processors choose their frequency")
 
     def test_is_poor_only_where_ticks_are_late(self) -> None:
-        assert machine.governor({"powersave": 8}, in_time=True).good
-        assert machine.governor({"performance": 8}, in_time=False).good
-        found = machine.governor({"performance": 2, "powersave": 6}, in_time=False)
+        assert command.governor({"powersave": 8}, in_time=True).good
+        assert command.governor({"performance": 8}, in_time=False).good
+        found = command.governor({"performance": 2, "powersave": 6}, in_time=False)
         assert not found.good
         assert found.says == "processors choose it 2 by performance and 6 by powersave, and ticks are late"
 
@@ -110,8 +110,8 @@ class TestFrequency:
             folder = tmp_path / cpu / "cpufreq"
             folder.mkdir(parents=True)
             (folder / "scaling_governor").write_text(f"{name}\n")
-        monkeypatch.setattr(machine, "GOVERNORS", tmp_path)
-        assert machine.governors() == {"powersave": 2, "performance": 1}
+        monkeypatch.setattr(command, "GOVERNORS", tmp_path)
+        assert command.governors() == {"powersave": 2, "performance": 1}
 
 
 class TestTheProbe:
@@ -120,17 +120,17 @@ class TestTheProbe:
         ("import time; time.sleep(60)", "took longer than 0.5 s"),
     ])
     def test_that_fails_is_told_as_such(self, code: str, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(machine, "PROBE", ("-c", code))
-        monkeypatch.setattr(machine, "PATIENCE", 0.5 if "sleep" in code else 30.0)
-        told = machine.measure()
+        monkeypatch.setattr(command, "PROBE", ("-c", code))
+        monkeypatch.setattr(command, "PATIENCE", 0.5 if "sleep" in code else 30.0)
+        told = command.measure()
         assert why in told["error"]
-        rights = machine.realtime(told)
+        rights = command.realtime(told)
         assert str(rights["scheduler"]).startswith("no (")
-        assert [one.good for one in machine.judge(told, rights)] == [False]
+        assert [one.good for one in command.judge(told, rights)] == [False]
 
     @pytest.mark.live
     def test_measures_what_is_judged(self) -> None:
-        told = machine.measure()
+        told = command.measure()
         assert told["ordinary"]["ticks"] >= 900
         assert 0 <= told["ordinary"]["left_out"] < told["ordinary"]["ticks"]
         assert (told["realtime"] is None) == told["scheduler"].startswith("no ")
@@ -139,5 +139,5 @@ class TestTheProbe:
         assert 0.0 < loopback["round_trip_us"]["p50"] <= loopback["round_trip_us"]["p99"]
         assert 0 < loopback["buffer"]["holds"] <= loopback["buffer"]["of"]
         assert loopback["stamps"] == (sys.platform == "linux")
-        names = [one.name for one in machine.judge(told, machine.realtime(told))]
+        names = [one.name for one in command.judge(told, command.realtime(told))]
         assert names == ["timer", "real time", "loopback", "buffer"]

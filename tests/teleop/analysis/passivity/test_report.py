@@ -133,11 +133,11 @@ def test_no_dashed_curve_is_hidden_under_a_solid_one_of_its_colour(
     scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib")
-    from teleop.analysis.passivity import plot
+    from teleop.analysis.passivity import command
 
     made: list[Any] = []
-    monkeypatch.setattr(plot, "save", lambda figure, *_: made.append(figure) or [])
-    plot.draw(ask(load_scene(scene, law="wave" if scene == "canonical" else "direct")), tmp_path / "p")
+    monkeypatch.setattr(command, "save", lambda figure, *_: made.append(figure) or [])
+    command.draw(ask(load_scene(scene, law="wave" if scene == "canonical" else "direct")), tmp_path / "p")
     seen = 0
     for axes in made[0].axes:
         lines = axes.get_lines()

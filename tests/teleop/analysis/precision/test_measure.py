@@ -293,7 +293,7 @@ class TestTheBudget:
 class TestTheFigure:
     def test_no_two_contenders_look_alike_scipys_solvers_among_them(self, struck: Precision) -> None:
         pytest.importorskip("matplotlib")
-        from teleop.analysis.precision.plot import LOOKS
+        from teleop.analysis.precision.report import LOOKS
 
         methods = {e.contender.method for e in struck.entries} - {"exact"}
         assert methods == set(LOOKS)
@@ -358,7 +358,7 @@ class TestTheCommand:
         def stopped(*_: Any, **__: Any) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr("teleop.analysis.precision.command.measure", stopped)
+        monkeypatch.setattr("teleop.analysis.precision.report.measure", stopped)
         assert typed("precision", "canonical").code == 130
         assert list(tmp_path.iterdir()) == []
 

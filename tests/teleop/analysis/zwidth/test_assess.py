@@ -14,13 +14,12 @@ from typing import Any
 import pytest
 
 import teleop.analysis.zwidth.assess
-import teleop.analysis.zwidth.command
+import teleop.analysis.zwidth.report
 import teleop.terminal.answer
 from teleop.analysis.models.by_axis import along
 from teleop.analysis.zwidth.assess import ZWidth, assess, levers, span
 from teleop.analysis.zwidth.plane import Span
-from teleop.analysis.zwidth.plot import PLOTS
-from teleop.analysis.zwidth.report import format_value, numbers, ratios, summary, table
+from teleop.analysis.zwidth.report import PLOTS, format_value, numbers, ratios, summary, table
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -224,10 +223,10 @@ class TestThePlane:
     @pytest.fixture
     def panels(self, found: ZWidth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         pytest.importorskip("matplotlib")
-        from teleop.analysis.zwidth import plot
+        from teleop.analysis.zwidth import report
 
         made: list[Any] = []
-        monkeypatch.setattr(plot, "save", lambda figure, *_: made.append(figure) or [])
+        monkeypatch.setattr(report, "save", lambda figure, *_: made.append(figure) or [])
         PLOTS["plane"](found, tmp_path / "plane", ("png",))
         return made[0].axes
 
@@ -269,7 +268,7 @@ class TestCommand:
     @pytest.fixture(autouse=True)
     def quick(self, monkeypatch: pytest.MonkeyPatch, found: ZWidth) -> None:
         """The command shows an answer that was found before."""
-        monkeypatch.setattr(teleop.analysis.zwidth.command, "assess", lambda *_, **__: found)
+        monkeypatch.setattr(teleop.analysis.zwidth.report, "assess", lambda *_, **__: found)
 
     def test_it_leaves_a_new_folder_with_json_and_plots(self, typed: Typed) -> None:
         pytest.importorskip("matplotlib")
@@ -289,7 +288,7 @@ class TestCommand:
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch, found: ZWidth
     ) -> None:
         part = replace(found, rows=found.rows[:1], stable=None, stable_free=None, measured=[], interrupted=True)
-        monkeypatch.setattr(teleop.analysis.zwidth.command, "assess", lambda *_, **__: part)
+        monkeypatch.setattr(teleop.analysis.zwidth.report, "assess", lambda *_, **__: part)
         assert typed("zwidth", "virtual_wall", "--out", "part").code == 130
         assert json.loads(Path("part/summary.json").read_text())["status"] == "interrupted"
 
