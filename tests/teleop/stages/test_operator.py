@@ -292,7 +292,7 @@ def test_the_switches_of_a_live_device_do_what_a_schedule_does_in_virtual_time_t
 
 def told(of: Scene, master: Any) -> list[tuple[int, str, str]]:
     """The events of a live master's switches."""
-    return [(k, what, why) for k, what, why in driven(of, master)[1] if what in ("clutch", "present")]
+    return [(k, what, why) for k, what, why, _ in driven(of, master)[1] if what in ("clutch", "present")]
 
 
 def test_events_tell_of_the_switches_and_of_a_clutch_that_stays_open() -> None:
