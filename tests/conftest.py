@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 from xdist.scheduler import LoadScopeScheduling
 
 from tests.programs import uses_programs
@@ -36,6 +36,8 @@ settings.register_profile(
     print_blob=True,
 )
 settings.load_profile("suite")
+settings.register_profile(  # for mutants, of which it matters that an example is found, and not the least one
+    "mutants", settings.get_profile("suite"), phases=(Phase.explicit, Phase.generate))
 
 
 def pytest_configure() -> None:

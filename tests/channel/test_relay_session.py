@@ -192,6 +192,7 @@ def test_a_cookie_is_good_for_its_address_and_its_handshake_alone() -> None:
     data = site.asks(random=b"r" * 32)
     cookie = data[-32:]
     assert not site.takes(hello(9, cookie=cookie, random=b"r" * 32), UNKNOWN)
+    assert not site.takes(hello(9, cookie=cookie, random=b"r" * 32), (MASTER[0], MASTER[1] + 1))
     assert not site.takes(hello(9, cookie=cookie, random=b"s" * 32), ("192.0.2.1", 4001))
     late = Site()
     late.now += 3_600_000 * MS

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
-from teleop.checks.trials import spread, trials, try_claims
+from teleop.checks.trials import refuse_broken, spread, trials, try_claims
 from teleop.errors import Refused, number
 from teleop.law import At
 from teleop.laws.direct import Direct
@@ -46,6 +47,12 @@ class OtherWave:
 
 def test_a_ledger_that_is_kept_may_be_claimed() -> None:
     try_claims(OtherWave())
+
+
+def test_a_ledger_that_is_no_number_is_not_kept() -> None:
+    scene = next(trials(Wave(), spread("Wave")))
+    with pytest.raises(Refused, match="Wave claims E_link, which fell to nan J"):
+        refuse_broken(Wave(), scene, {"E_link": np.array([0.0, np.nan, 1.0])}, ["E_link"])
 
 
 def test_a_slave_that_sends_back_more_than_it_got_is_caught() -> None:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from teleop import Refused, load_result
-from teleop.export.stored import BLOCK, all_fields, read_parts
+from teleop.export.stored import BLOCK, Part, all_fields, read_parts
+from teleop.export.stored import _on_one_axis as put_on_one_axis
 from teleop.simulation.result import write_arrays
 from teleop.storage.folder import claim
 from tests.teleop.export.conftest import LiveEnd
@@ -98,6 +99,14 @@ def test_columns_of_all_parts_are_there_once(turned_run: Path) -> None:
     names = [one.name for one in all_fields(read_parts(turned_run, trust=False))]
     assert len(names) == len({*names})
     assert {"E_in_fwd", "G_m", "x_m"} <= {*names}
+
+
+@pytest.mark.parametrize("first", [0.0, 0.5, 1.0, 1.001, 2.0])
+def test_times_grow_from_part_to_part_wherever_a_part_begins(first: float, copy: Path) -> None:
+    before, after = Part(copy, 1), Part(copy, 2)
+    before.first, before.last, after.first, after.last = 0.0, 1.0, first, first + 1.0
+    put_on_one_axis(copy, [before, after])
+    assert (before.shift_ns, after.ns(first)) == (0, max(1_001_000_000, round(first * 1e9)))
 
 
 def test_no_folder(tmp_path: Path) -> None:

@@ -122,6 +122,7 @@ def test_equal_delays_give_the_offset_itself() -> None:
     talk = Talk(there=30 * MS, back=30 * MS, slave_ahead=123_456_789)
     talk.run(2000 * MS)
     assert talk.master.offset_ns == 123_456_789
+    assert talk.slave.start_ns == (talk.master.start_ns or 0) + 123_456_789
 
 
 def test_the_offset_is_taken_from_the_fastest_round_trip() -> None:

@@ -123,17 +123,21 @@ def declaring(
 class TestDeclared:
     """Unit, meaning and bounds stand in the annotation."""
 
-    @pytest.mark.parametrize(("name", "text", "sentence"), [
+    @pytest.mark.parametrize(("name", "value", "sentence"), [
         ("k", "-1", "k must be at least 0 N/m, not -1; write for example k=0"),
         ("k", "2e3", "k must be at most 1000 N/m, not 2000; write for example k=1000"),
+        ("k", 2e3, "k must be at most 1000 N/m, not 2000; write for example k=1000"),
+        ("k", -1.0, "k must be at least 0 N/m, not -1; write for example k=0"),
         ("at", "0,-2,0", "at must be at least -1 m, not -2; write for example at=-1"),
         ("age", "0", "age must be above 0 s, not 0; write for example age=1"),
         ("steps", "0", "steps must be at least 1 ticks, not 0; write for example steps=1"),
         ("shape", "bal", "shape is one of ball, cube, not 'bal'; did you mean ball?"),
     ])
-    def test_what_is_out_of_bounds_is_refused_with_unit_and_cure(self, name: str, text: str, sentence: str) -> None:
+    def test_what_is_out_of_bounds_is_refused_with_unit_and_cure(
+        self, name: str, value: object, sentence: str
+    ) -> None:
         with pytest.raises(Refused) as refused:
-            settle("s", declaring, {name: text})
+            settle("s", declaring, {name: value})
         assert str(refused.value) == sentence
 
     def test_what_is_within_is_read_as_without(self) -> None:

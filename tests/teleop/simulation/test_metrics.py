@@ -186,8 +186,9 @@ def test_ages_and_freshness_of_the_messages_that_were_played() -> None:
 
 def test_the_least_and_the_last_of_each_ledger() -> None:
     ledger = np.array([0.0, 2.0, -1.0, *[0.5] * (N - 3)])
-    got = metrics(SCENE, trace(E_link=ledger, E_port=2.0 * ledger))
+    got = metrics(SCENE, trace(E_link=ledger, E_port=2.0 * ledger, E_law=ledger + 3.0))
     assert (got["E_link_min"], got["E_link_end"], got["E_port_min"], got["E_port_end"]) == (-1.0, 0.5, -2.0, 1.0)
+    assert (got["E_law_min"], got["E_law_end"]) == (2.0, 3.5), "a least that is above zero is not zero"
 
 
 def test_energy_received_is_compared_with_the_stamp_of_the_packet_it_came_with() -> None:

@@ -92,6 +92,16 @@ def test_an_array_that_says_it_is_greater_than_it_is_takes_no_memory(tmp_path: P
         read_arrays(tmp_path / "trace.npz", 10**8)
 
 
+@pytest.mark.parametrize("size", [8 * ROWS - 1, 8 * ROWS + 1, 16 * ROWS])
+def test_an_array_of_another_size_than_its_head_says_is_refused_shorter_or_longer(size: int, tmp_path: Path) -> None:
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (ROWS,)})
+    with zipfile.ZipFile(tmp_path / "trace.npz", "w") as archive:
+        archive.writestr("t.npy", head.getvalue() + bytes(size))
+    with pytest.raises(Misshapen, match="of another size than its head says"):
+        read_arrays(tmp_path / "trace.npz", ROWS)
+
+
 def test_ever_more_arrays_or_one_of_a_name_twice_are_refused(tmp_path: Path) -> None:
     with pytest.raises(Misshapen, match="more than 256"):
         read_arrays(saved(tmp_path / "many.npz", **{f"c{i}": np.zeros(ROWS) for i in range(MOST_ARRAYS + 1)}), ROWS)

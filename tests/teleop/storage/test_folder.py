@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from teleop import Refused
-from teleop.storage.folder import PART, Claim, claim, new_folder, numbered
+from teleop.storage.folder import PART, Claim, claim, is_being_written, new_folder, numbered
 
 
 @pytest.fixture(autouse=True)
@@ -273,3 +273,20 @@ def test_a_claim_holds_on_to_its_folder_until_it_is_closed() -> None:
         Path(f"y{i}").mkdir()
         assert Path(f"y{i}").stat().st_ino != was
     ours.close()
+
+
+def test_who_asks_whether_a_folder_is_being_written_leaves_no_file_open() -> None:
+    """It would hold a lock too: whoever claims the folder then would not be seen to write."""
+
+    def next_file() -> int:
+        file = os.open(".", os.O_RDONLY)
+        os.close(file)
+        return file
+
+    claimed = claim("x")
+    before = next_file()
+    assert is_being_written(Path("x"))
+    claimed.close()
+    free = next_file()
+    assert not is_being_written(Path("x"))
+    assert (next_file(), free) == (free, min(free, before))

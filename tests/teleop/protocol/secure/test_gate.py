@@ -150,6 +150,14 @@ class TestAStranger:
         assert keys[2].fingerprint in (gate.refused or "")
         assert gate._begun == {}
 
+    def test_that_shows_its_own_certificate_first_keeps_the_pinned_master_out_for_no_time(
+        self, gate: Gate, master: Master, keys: list[Key]
+    ) -> None:
+        stranger = Association.towards(keys[2], keys[1].fingerprint, 0)
+        gate.receive(with_cookie(gate, (stranger, stranger.begin(0)[0])), AT, 0)
+        assert gate.refused is not None
+        assert let_in(gate, master(), ELSEWHERE).ready
+
     def test_data_and_alerts_are_not_for_the_gate(self) -> None:
         assert [is_for_gate(bytes((kind,))) for kind in (20, 21, 22, 23, 66)] == [True, False, True, False, False]
         assert not is_for_gate(b"")
