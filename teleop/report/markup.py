@@ -12,21 +12,18 @@ from collections.abc import Iterable, Sequence
 from hashlib import sha256
 from html import escape
 
-from teleop.terminal.plotting import BLUE, BROWN, GREEN, ORANGE, PALE, PINK, PURPLE, RED, SKY, YELLOW
+from teleop.terminal.plotting import BLACK, BLUE, BROWN, DARK, FRAME, GREEN, GRID, PURPLE, RED, SKY, WINE
 from teleop.terminal.table import printable
 
 LONGEST = 2000  # characters of one text
 SHORT = 16  # characters of a cell that is not broken
-_PATH = re.compile(r"[MmLlhvHVz0-9 .-]*")
+_PATH = re.compile(r"[MLlqcz0-9 .-]*")
 
 
 class Markup(str):
     """Text that is markup already, of the functions here alone."""
 
     __slots__ = ()
-
-
-NOTHING = Markup("")
 
 
 def element(name: str, attributes: dict[str, object] | None = None, *inside: str) -> Markup:
@@ -57,11 +54,6 @@ def path_data(commands: str) -> Markup:
     if not _PATH.fullmatch(commands):
         raise ValueError("commands of a path are letters and numbers")
     return Markup(commands)
-
-
-def joined(parts: Iterable[str]) -> Markup:
-    """Join parts one after the other, all but `Markup` escaped."""
-    return Markup("".join(map(text, parts)))
 
 
 def text(part: str) -> Markup:
@@ -100,36 +92,17 @@ def pairs(rows: Iterable[tuple[str, str]]) -> Markup:
                                  for name, value in rows])
 
 
-LEVELS = 20  # colours of a map of numbers, `a0` to `a19`: viridis
-_VIRIDIS = ((68, 1, 84), (72, 40, 120), (62, 73, 137), (49, 104, 142), (38, 130, 142), (31, 158, 137), (53, 183, 121),
-            (110, 206, 88), (181, 222, 43), (253, 231, 37))
-LINES = ("m", "s", "e", "g", "p0", "p1", "p2")  # classes: master, slave, hand and environment, link, and others
-STATUS = {"ok": "aok", "limit cycle": "acycle", "unstable": "aunstable", "unsettled": "acycle", "diverged": "adiverged",
-          "none ended ok": "adiverged", "refused": "arefused"}  # classes of areas
-OTHER = "aother"
-_LIGHT = {"m": BLUE, "s": RED, "e": "#707070", "g": GREEN, "p0": PINK, "p1": ORANGE, "p2": PURPLE}
-_DARK = {"m": SKY, "s": "#FF8A3D", "e": "#A8A8A8", "g": "#2BC79A", "p0": PINK, "p1": ORANGE, "p2": "#B79CF0"}
-_AREAS = {"aok": SKY, "acycle": YELLOW, "aunstable": PURPLE, "adiverged": RED, "arefused": PALE, OTHER: BROWN}
-
-
-def _variables(colours: dict[str, str], plain: str) -> str:
-    return plain + "".join(f"--{name}:{colour};" for name, colour in colours.items())
-
-
-def _level(i: int) -> str:
-    at = i / (LEVELS - 1) * (len(_VIRIDIS) - 1)
-    low = min(int(at), len(_VIRIDIS) - 2)
-    return "#" + "".join(f"{round(a + (b - a) * (at - low)):02x}"
-                         for a, b in zip(_VIRIDIS[low], _VIRIDIS[low + 1], strict=True))
-
-
-_ON_LIGHT = _variables(_LIGHT, "--back:#fff;--ink:#1b1b1b;--soft:#5c5c5c;--rule:#d9d9d9;--grid:#e9e9e9;--good:#00724f;"
-                               "--bad:#b53a00;")
-_ON_DARK = _variables(_DARK, "--back:#15181c;--ink:#e6e6e6;--soft:#a3a3a3;--rule:#3a3f46;--grid:#2a2e34;--good:#3ddc9f;"
-                             "--bad:#ff9a5c;")
+# What a colour of a figure is on a dark ground; any other is seen on both.
+_DARK = {BLACK: "#e6e6e6", BLUE: SKY, RED: "#FF8A3D", DARK: "#A8A8A8", GREEN: "#2BC79A", PURPLE: "#B79CF0",
+         BROWN: "#C08A7C", WINE: "#D06088", GRID: "#2a2e34", FRAME: "#3a3f46"}
+_ON_LIGHT = "--back:#fff;--ink:#1b1b1b;--soft:#5c5c5c;--rule:#d9d9d9;--grid:#e9e9e9;--good:#00724f;--bad:#b53a00;"
+_ON_DARK = "--back:#15181c;--ink:#e6e6e6;--soft:#a3a3a3;--rule:#3a3f46;--grid:#2a2e34;--good:#3ddc9f;--bad:#ff9a5c;"
+_IN_FIGURES = "".join(f'svg [{name}="{light.lower()}"]{{{name}:{dark}}}' for light, dark in _DARK.items()
+                      for name in ("fill", "stroke"))
 CSS = f"""
 :root{{color-scheme:light dark;{_ON_LIGHT}}}
 @media (prefers-color-scheme:dark){{:root{{{_ON_DARK}}}}}
+@media screen and (prefers-color-scheme:dark){{{_IN_FIGURES}}}
 @media print{{:root{{color-scheme:light;{_ON_LIGHT}--ink:#000}}}}
 *{{box-sizing:border-box}}
 body{{margin:0 auto;padding:1.2rem;max-width:52rem;background:var(--back);color:var(--ink);
@@ -139,17 +112,9 @@ h3{{font-size:1rem;margin-top:1.1rem}}p{{margin:.3rem 0}}
 .sub,footer,figcaption{{color:var(--soft)}}.out{{font-size:1.05rem}}.out b{{margin-right:.4em}}
 .good{{color:var(--good)}}.bad{{color:var(--bad)}}
 figure{{margin:.5rem 0 0;break-inside:avoid}}figcaption{{font-size:.85em}}svg{{display:block;width:100%;height:auto}}
-svg text{{font-size:10.5px;fill:var(--ink)}}svg text.b{{font-weight:600;font-size:11px}}
-.grid,.f{{fill:none;stroke:var(--grid)}}.f{{stroke:var(--rule)}}.e{{fill:none;stroke:var(--soft);stroke-dasharray:3 3}}
-path.l{{fill:none;stroke-width:12;stroke-linejoin:round;stroke-linecap:round}}
-path.w{{stroke-width:26;stroke-opacity:.55}}
-path.y{{stroke-dasharray:60 30;stroke-linecap:butt}}path.z{{stroke-dasharray:15 25;stroke-linecap:butt}}
-.edge{{fill:none;stroke:#000;stroke-width:14}}.cross{{stroke:var(--bad);fill:none;stroke-width:14}}
-circle{{stroke:var(--back);stroke-width:.6}}
-{"".join(f"path.{name}{{stroke:var(--{name})}}circle.{name}{{fill:var(--{name})}}path.b{name}{{fill:var(--{name});"
-         f"fill-opacity:.2}}" for name in LINES)}
-{"".join(f".{name}{{fill:{colour}}}" for name, colour in _AREAS.items())}
-{"".join(f".a{i}{{fill:{_level(i)}}}" for i in range(LEVELS))}
+svg[width]{{width:auto;max-width:100%}}
+svg{{font-size:10px}}svg text:not([fill]){{fill:var(--ink)}}svg path{{stroke-linejoin:round;stroke-linecap:round}}
+svg path[stroke-dasharray]{{stroke-linecap:butt}}
 @media screen and (max-width:40rem){{figure{{overflow-x:auto}}svg{{min-width:36rem}}.even{{min-width:36rem}}}}
 .scroll{{overflow-x:auto}}table{{border-collapse:collapse;margin:.6rem 0;font-size:.87em;break-inside:auto}}
 caption,.cap{{text-align:left;font-weight:600;padding-bottom:.2rem}}

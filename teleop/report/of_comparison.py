@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
-from math import isfinite
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused, number_of
-from teleop.report import svg
-from teleop.report.markup import STATUS, Markup, element, facts, table
+from teleop.report.figures import embed, figures
+from teleop.report.markup import Markup, element, facts, table
 from teleop.report.page import FolderReport, Section, heading, made_by
-from teleop.report.scatter import Mark, Plane, Series, scatter
 from teleop.scene.axes import SHAPES
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
@@ -21,23 +19,19 @@ from teleop.studies.compare.figures import (
     BAD,
     COLUMNS,
     LawVerdict,
-    axis_title,
     cells,
-    columns_of,
     columns_to_show,
-    endings,
     group_text,
     judge_laws,
     legend,
     rankings,
     text,
 )
+from teleop.studies.compare.plot import status_map, tracking_plot
 from teleop.sweeps.store import Store, is_growing
 from teleop.terminal.answer import Answer
 
 ENDED = ("ok", *BAD, "diverged", "refused")
-MOST_ACROSS = 3  # environments in a row
-CELL, WIDEST = 13.0, 26.0  # of a case: height, and width at most
 NOTES = 8
 _ROW = stored.record(
     {"law": stored.text, "link": stored.text, "environment": stored.text, "ended": stored.one_of(*ENDED),
@@ -101,7 +95,7 @@ def _section(name: str, document: Mapping[str, Any], rows: Sequence[Mapping[str,
     omitted = [("", f"and {len(notes) - NOTES} more, which summary.json has")] * (len(notes) > NOTES)
     blocks = [table(head, [cells(one, columns) for one in verdicts]),
               element("p", {"class": "sub small"}, legend(verdicts, 10**6)),
-              *_status(rows, verdicts), *_tracking(verdicts),
+              *figures(lambda: _figures(rows, verdicts)),
               *([heading("Best first, = where they tie"), facts(ranked)] if ranked else []),
               *([heading("Notes"), facts([*[("", note) for note in notes[:NOTES]], *omitted])] if notes else []),
               *made_by(document)]
@@ -109,56 +103,16 @@ def _section(name: str, document: Mapping[str, Any], rows: Sequence[Mapping[str,
                    sentence=words, blocks=blocks)
 
 
-def _status(rows: Sequence[Mapping[str, Any]], verdicts: Sequence[LawVerdict]) -> list[Markup]:
-    """A map: laws down, links across, a block for each environment; the worst of a case's seeds."""
-    laws = [one.law for one in verdicts]
+def _figures(rows: Sequence[Mapping[str, Any]], verdicts: Sequence[LawVerdict]) -> Iterator[Markup]:
+    """Map of where each law came to an end, and tracking error over felt drag, as `teleop compare` plots them."""
     links, places = (list(dict.fromkeys(str(row[name]) for row in rows)) for name in ("link", "environment"))
-    ended = {law: endings(row for row in rows if row["law"] == law) for law in laws}
-    left = 10.0 + svg.CHARACTER * min(24, max(map(len, laws)))
-    below = 8.0 + svg.CHARACTER * min(20, max(map(len, links)))
-    wide = max(CELL * len(links), 60.0)
-    across = max(1, min(MOST_ACROSS, len(places), int((svg.WIDTH - left) / (wide + 16.0))))
-    size = min(WIDEST, (svg.WIDTH - left - 16.0 * across) / across / len(links))
-    tall = CELL * len(laws)
-    parts = [svg.label(4.0, 11.0, "how the cases ended, the worst of the seeds", style="b")]
-    kinds: dict[str, list[str]] = {}
-    for i, place in enumerate(places):
-        x, y = left + (i % across) * (size * len(links) + 16.0), 36.0 + (i // across) * (tall + 20.0)
-        parts.append(svg.label(x, y - 5.0, place[:40], style="b"))
-        by_style: dict[str, list[tuple[float, float, float, float]]] = {}
-        for row, law in enumerate(laws):
-            if i % across == 0:
-                parts.append(svg.label(left - 4.0, y + CELL * (row + 0.78), law[:24], anchor="end"))
-            for column, link in enumerate(links):
-                status = ended[law].get((place, link))
-                if status is not None:
-                    style = STATUS[status]
-                    if status not in kinds.setdefault(style, []):
-                        kinds[style].append(status)
-                    high = 1.0 - (row + 0.06) / len(laws)
-                    by_style.setdefault(style, []).append(((column + 0.06) / len(links), (column + 0.94) / len(links),
-                                                           high - 0.88 / len(laws), high))
-        box = svg.Box(x, y, size * len(links), tall)
-        parts += [svg.cells(some, box, style) for style, some in by_style.items()]
-        if i + across >= len(places):
-            parts += [svg.label(x + size * (column + 0.7), y + tall + 6.0, link[:20], anchor="end", up=True)
-                      for column, link in enumerate(links)]
-    lines = -(-len(places) // across)
-    parts.append(svg.legend([(style, ", ".join(names)) for style, names in kinds.items()], svg.WIDTH - svg.RIGHT, 11.0))
     counts = "; ".join(f"{one.law}: " + ", ".join(f"{n} {status}" for status, n in sorted(one.ended.items()))
                        for one in verdicts)
-    return [svg.figure("How the cases ended", f"Cases of each law. {counts}.",
-                       36.0 + lines * (tall + 20.0) + below, *parts)]
-
-
-def _tracking(verdicts: Sequence[LawVerdict]) -> list[Markup]:
-    """Tracking error over felt drag: a law far to the right tracks because it holds the hand."""
-    columns = columns_of(verdicts)
-    error, drag = columns["x_err_rms"], columns["felt_drag"]
-    points = [Mark(drag.factor * one.figures["felt_drag"].value, error.factor * one.figures["x_err_rms"].value,
-                    one.law[:24], True) for one in verdicts
-              if isfinite(one.figures["felt_drag"].value) and isfinite(one.figures["x_err_rms"].value)]
-    if len(points) < 2:
-        return []
-    return scatter("Tracking against felt drag", [
-        Plane(axis_title(drag), axis_title(error), [Series("", "m", points)])])
+    yield heading("How the cases ended, the worst of the seeds")
+    yield embed(status_map(rows, verdicts, links, places), "How the cases ended", f"Cases of each law. {counts}.")
+    scatter = tracking_plot(verdicts)
+    if scatter is not None:
+        title = "Tracking against felt drag"
+        yield heading(title)
+        yield embed(scatter, title, "Median tracking error of each law over what it holds the hand back with in free "
+                                    "space, as the table has them.")

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.report.figures import figures
 from teleop.report.markup import Markup, element, facts, table
 from teleop.report.page import Section, flattened, heading, made_by, parameters, with_unit
 from teleop.report.strips import Strip, strips
@@ -40,8 +41,8 @@ def of_one(run: RunView) -> Section:
     """Run to be shown."""
     result = run.result
     events = _events(result)
-    blocks = [*strips([_strip("", result)]), heading("Results"), facts(rows(result)), *_event_table(events),
-              *parameters(result.parameters, _units(result)), *made_by(run.document)]
+    blocks = [*figures(lambda: strips([_strip("", result)])), heading("Results"), facts(rows(result)),
+              *_event_table(events), *parameters(result.parameters, _units(result)), *made_by(run.document)]
     how = what(result).removeprefix(headed(result)).lstrip(", ")
     return Section(title=headed(result), under=f"{how}; folder {run.name}", status=result.status,
                    sentence=result.sentence, blocks=blocks)
@@ -56,13 +57,13 @@ def of_several(runs: Sequence[RunView], title: str = "", under: str = "", before
     titles = [_title(run, differing[i], i) for i, run in enumerate(runs)]
     if len(set(titles)) < len(titles):
         titles = [f"{i + 1}: {run.name}"[:MOST_TITLE] for i, run in enumerate(runs)]
-    figures = strips([_strip(summary, run.result) for summary, run in zip(titles, runs, strict=True)][-shown:])
+    drawn = [_strip(summary, run.result) for summary, run in zip(titles, runs, strict=True)][-shown:]
     note = [element("p", {"class": "sub"}, f"The figures show the last {shown} of {len(runs)}.")] * (len(runs) > shown)
     notes = [(titles[i], note) for i, run in enumerate(runs) for note in run.result.notes]
     same = {name: value for name, value in flattened(runs[0].result.parameters).items() if name not in differing[0] and
             not (name.startswith("law.") and "law" in differing[0])}
     scenes = list(dict.fromkeys(run.result.scene for run in runs))
-    blocks = [*(before or [_compared(runs, titles, differing)]), *note, *figures,
+    blocks = [*(before or [_compared(runs, titles, differing)]), *note, *figures(lambda: strips(drawn)),
               *([heading("Notes"), facts(notes)] if notes else []),
               *parameters(same, _units(runs[0].result), "Parameters that all have"), *_commands(runs, titles)]
     ended = ", ".join(f"{sum(run.result.status == status for run in runs)} {status}" for status in

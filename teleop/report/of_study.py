@@ -6,24 +6,28 @@ Such a folder has a summary.json; whatever it holds in numbers and texts is show
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused
-from teleop.report.markup import LINES, Markup, element, pairs, table
+from teleop.report.figures import figures
+from teleop.report.markup import Markup, element, pairs, table
 from teleop.report.page import FolderReport, Section, cell, heading, made_by, parameters, sentence_of, with_unit
 from teleop.report.scatter import Mark, Plane, Series, scatter
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
 from teleop.storage.strict_json import Misshapen, parse
 from teleop.terminal.answer import Answer
+from teleop.terminal.plotting import BLUE, DARK, GREEN, ORANGE, PINK, PURPLE, RED
+from teleop.terminal.run_plot import LINES
 from teleop.terminal.table import columns, facts, printable
 
 SUMMARY = "summary.json"
 MODES = ("precision", "tune", "advise", "stability", "passivity", "zwidth", "reproduce", "replay")
 HEAD = {"status", "sentence", "scene", "mode", "parameters", "seed", "versions", "command", "dt", "units", "path",
         "notes", "meaning"}
+COLOURS = (BLUE, RED, DARK, GREEN, PINK, ORANGE, PURPLE)
 ROWS, COLUMNS, WIDE = 60, 9, 44  # of a table, and characters of a cell of it
 ON_PAGE, LONG = 24, 28  # rows of it on a page, and characters of what stands in a line of its own there
 _SHAPE = stored.record(
@@ -136,12 +140,12 @@ def _tables(name: str, entries: Sequence[Mapping[str, Any]], units: Mapping[str,
 
 def _section(name: str, document: Mapping[str, Any], texts: Sequence[StudyBlock]) -> Section:
     mode = str(document["mode"])
-    figures: list[Markup] = []
+    drawn: list[Markup] = []
     if mode in FIGURES:
         try:
-            figures = FIGURES[mode](document)
+            drawn = figures(lambda: FIGURES[mode](document))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError):  # numbers that others wrote
-            figures = [element("p", {"class": "sub"}, "No figure: the numbers for it are not there.")]
+            drawn = [element("p", {"class": "sub"}, "No figure: the numbers for it are not there.")]
     parts: list[Markup] = []
     for block in texts:
         short = [(row[0], row[1]) for row in block.rows if not block.head and len(row[1]) <= LONG]
@@ -153,10 +157,10 @@ def _section(name: str, document: Mapping[str, Any], texts: Sequence[StudyBlock]
     return Section(
         title=f"{document.get('scene') or mode}: {mode}", under=f"folder {name}", status=str(document["status"]),
         sentence=str(document["sentence"]), blocks=[
-            *figures, *parts, *parameters(document.get("parameters") or {}), *made_by(document)])
+            *drawn, *parts, *parameters(document.get("parameters") or {}), *made_by(document)])
 
 
-def _precision(document: Mapping[str, Any]) -> list[Markup]:
+def _precision(document: Mapping[str, Any]) -> Iterator[Markup]:
     """The largest error of each method over its run time."""
     methods, units = document["methods"], document.get("units") or {}
     kinds = list(dict.fromkeys(str(one["method"]) for one in methods))
@@ -169,13 +173,13 @@ def _precision(document: Mapping[str, Any]) -> list[Markup]:
                             str(one["name"]), kind in ("exact", "default"))
                       for one in methods if one["method"] == kind and one["status"] != "diverged"
                       and one["errors"].get(series, {}).get("max")]
-            dash = ("", " y", " z")[i // len(LINES) % 3]
-            groups.append(Series(kind, f"{LINES[i % len(LINES)]}{dash}", sorted(points), lines=True))
+            line = LINES[i // len(COLOURS) % len(LINES)]
+            groups.append(Series(kind, COLOURS[i % len(COLOURS)], sorted(points), line))
         planes.append(Plane("run time (us a tick)", f"{what} ({units.get(series, unit)})", groups))
     return scatter("Error over run time", planes)
 
 
-def _tune(document: Mapping[str, Any]) -> list[Markup]:
+def _tune(document: Mapping[str, Any]) -> Iterator[Markup]:
     """Tracking error over drag of the points of the front; the one that was taken has its name."""
     best = document["best"]
     points = []
@@ -186,16 +190,16 @@ def _tune(document: Mapping[str, Any]) -> list[Markup]:
                             "taken" if taken else "", taken))
     points.sort()
     return scatter("The front of tracking error against drag", [Plane(
-        "greatest force in free space (N)", "tracking error, rms (mm)", [Series("", "m", points, lines=True)])])
+        "greatest force in free space (N)", "tracking error, rms (mm)", [Series("", BLUE, points, "-")])])
 
 
-def _zwidth(document: Mapping[str, Any]) -> list[Markup]:
+def _zwidth(document: Mapping[str, Any]) -> Iterator[Markup]:
     """The greatest and the least impedance that can be rendered, over frequency."""
     documents = document["impedance"]
     groups = []
-    for key, name, style in (("upper", "greatest", "m"), ("lower", "least", "s")):
+    for key, name, colour in (("upper", "greatest", BLUE), ("lower", "least", RED)):
         some = [*zip(documents["frequency"], documents[key], strict=True)][::6]
-        groups.append(Series(name, style, [Mark(float(f), float(z), "") for f, z in some if z is not None], True))
+        groups.append(Series(name, colour, [Mark(float(f), float(z), "") for f, z in some if z is not None], "-"))
     return scatter("Impedance that can be rendered", [Plane("frequency (Hz)", "impedance (N s/m)", groups)])
 
 

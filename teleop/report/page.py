@@ -8,6 +8,7 @@ from pathlib import Path
 from shlex import join
 from typing import Any, NamedTuple
 
+from teleop.report.figures import NO_FIGURE
 from teleop.report.markup import DIGEST, STYLE, Markup, element, empty, facts, pairs
 from teleop.simulation.result import Result
 from teleop.terminal.answer import Answer
@@ -33,7 +34,8 @@ def page(sections: Sequence[Section]) -> bytes:
     """The page of these sections, at least one, as UTF-8."""
     title = sections[0].title if len(sections) == 1 else f"{len(sections)} reports"
     top = [element("h1", None, title)] if len(sections) > 1 else []
-    body = [*top, *[_rows_of(each, "h2" if top else "h1") for each in sections],
+    without = [each for each in sections if NO_FIGURE in each.blocks]
+    body = [*top, *[_rows_of(each, "h2" if top else "h1", omit=each in without[1:]) for each in sections],
             element("footer", None, f"Made by teleop report, bilateral-teleop {__version__}.")]
     head = element(
         "head", None, empty("meta", {"charset": "utf-8"}),
@@ -44,13 +46,14 @@ def page(sections: Sequence[Section]) -> bytes:
     return f"<!DOCTYPE html>\n{element('html', {'lang': 'en'}, head, element('body', None, *body))}\n".encode()
 
 
-def _rows_of(section: Section, heading: str) -> Markup:
+def _rows_of(section: Section, heading: str, *, omit: bool) -> Markup:
+    """A section under its heading; `omit`: that it has no figures was said before."""
     parts = [element(heading, None, section.title)]
     if section.under:
         parts.append(element("p", {"class": "sub"}, section.under))
     if section.status or section.sentence:
         parts.append(outcome(section.status, section.sentence))
-    return element("section", None, *parts, *section.blocks)
+    return element("section", None, *parts, *[each for each in section.blocks if not (omit and each == NO_FIGURE)])
 
 
 def outcome(status: str, sentence: str) -> Markup:

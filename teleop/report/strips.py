@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from teleop.report import svg
+from teleop.report.figures import BETWEEN, LEFT, RIGHT, TEXT, TITLE, WIDTH, embed, grid_of, page_figure, panel
 from teleop.report.markup import Markup, element
-from teleop.report.scales import PlotAxis, around, thousands
-from teleop.report.svg import Line, line_of
 from teleop.scene.axes import AxisLabels
 from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
-from teleop.terminal.plotting import BLUE, DARK, GREEN, RED
-from teleop.terminal.run_plot import PANELS, TracePanel, axis_curves
+from teleop.terminal.plotting import DARK, UNDER, literal, names_id
+from teleop.terminal.run_plot import LINES, PANELS, TracePanel, axis_curves, extremes, power_of_thousand
 from teleop.terminal.table import PREFIX, si
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from matplotlib.axes import Axes
 
-    from teleop.report.svg import Box
-
-STYLE = {BLUE: "m", RED: "s", DARK: "e", GREEN: "g"}
-DASH = ("", " y", " z")  # of the axes
 HEIGHT, LOW = 96.0, 78.0  # of a panel: of one run alone, of several
 MOST_MARKS = 40  # of events in a panel
 OWN = 42.0  # between panels that have a scale each
+NARROW: dict[str, Any] = {"linewidth": 1.2}
 HEAD = 17.0  # the line with the quantity and the legend
 
 
@@ -38,13 +33,26 @@ class Strip(NamedTuple):
     events: Sequence[tuple[float, str]]
     labels: AxisLabels = AxisLabels()
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """Beginning and end of the time axis (s)."""
+        return float(self.trace["t"][0]), float(self.trace["t"][-1]) + self.dt
+
 
 class Drawn(NamedTuple):
-    """A curve of a panel: its name, its style and its points."""
+    """A curve of a panel: its name, its points, and how it is drawn."""
 
     name: str
-    style: str
-    line: Line
+    t: Any
+    values: Any
+    look: dict[str, Any]
+
+    def range(self) -> tuple[float, float]:
+        """The least and the greatest value of all, (inf, -inf) of none."""
+        import numpy as np
+
+        known = self.values[np.isfinite(self.values)]
+        return float(known.min(initial=np.inf)), float(known.max(initial=-np.inf))
 
 
 class Panels(NamedTuple):
@@ -59,7 +67,7 @@ class Panels(NamedTuple):
     apart: bool = False
 
 
-def strips(runs: Sequence[Strip], most_rows: int = 12) -> list[Markup]:
+def strips(runs: Sequence[Strip], most_rows: int = 12) -> Iterator[Markup]:
     """A figure for each quantity and unit that a run has; of many runs as many figures as have so many rows of panels.
 
     Up to `TOGETHER` axes share a panel. Of one run with more, each has a panel of its own; of several runs those are
@@ -74,8 +82,8 @@ def strips(runs: Sequence[Strip], most_rows: int = 12) -> list[Markup]:
     across = 2 if len(runs) in (2, 4) else 3
     rows = max(1, -(-len(every[0].runs if every else runs) // across))
     legend_names = dict.fromkeys(left_out(run.trace, axes, run.labels) for run, axes in zip(runs, shown, strict=True))
-    notes = [element("p", {"class": "sub"}, f"{text}.") for text in legend_names if text]
-    return [*notes, *[_figure(each, across) for each in every[:max(2, most_rows // rows)]]]
+    yield from [element("p", {"class": "sub"}, f"{text}.") for text in legend_names if text]
+    yield from [_figure(each, across) for each in every[:max(2, most_rows // rows)]]
 
 
 def _of_runs(panel: TracePanel, runs: Sequence[Strip], shown: Sequence[list[int]]) -> Iterator[Panels]:
@@ -109,67 +117,69 @@ def _has(panel: TracePanel, run: Strip) -> bool:
 
 
 def _figure(panels: Panels, across: int) -> Markup:
-    panel, runs, shown, apart = panels
+    quantity, runs, shown, apart = panels
     named = len(runs) > 1 or apart
-    top = HEAD + (svg.TITLE if named else 2.0)
-    times = [PlotAxis(float(run.trace["t"][0]), float(run.trace["t"][-1]) + run.dt) for run in runs]
-    same = len(set(times)) == 1
-    boxes, height = svg.grid_of(len(runs), across, LOW if named else HEIGHT, top=top,
-                                apart=svg.TITLE * named + (4.0 if same else 16.0),
-                                between=OWN if apart else svg.BETWEEN)
-    drawn = [[*_curves(panel, run, axes, time, box)]
-             for run, axes, time, box in zip(runs, shown, times, boxes, strict=True)]
-    ranges = [_range(curves) for curves in drawn]
-    if not apart:
-        ranges = [_range([curve for curves in drawn for curve in curves])] * len(drawn)
-    low, high = min(a for a, _ in ranges), max(b for _, b in ranges)
-    power = thousands(max(abs(low), abs(high)) if low <= high else 0.0)
-    parts = [svg.label(svg.LEFT, 11, f"{panel.quantity} ({PREFIX[power]}{panel.unit})", style="b"),
-             svg.legend(_legend(panels), svg.WIDTH - svg.RIGHT, 11)]
-    for i, (run, time, box, curves) in enumerate(zip(runs, times, boxes, drawn, strict=True)):
-        last = i + min(across, len(runs)) >= len(runs)
-        y, scaled = (around(ranges[i][0] * of, ranges[i][1] * of) for of in (1e3**-power, 1.0))
-        parts += [svg.frame(box, time, y, title=run.title if named else "", x_labels=last or not same,
-                            y_labels=apart or i % across == 0),
-                  svg.marks([each for each in run.events if time.low < each[0] < time.high][:MOST_MARKS], box, time),
-                  *[svg.curve(curve.line, box, scaled, f"l {curve.style}", curve.name) for curve in curves]]
-    parts.append(svg.label(svg.LEFT - 8.0, height - 5.0, "time (s)", anchor="end"))
-    return svg.figure(panel.quantity, _description(panel, runs, drawn), height, *parts)
+    same = len({run.span for run in runs}) == 1
+    boxes, height = grid_of(len(runs), across, LOW if named else HEIGHT, top=HEAD + (TITLE if named else 2.0),
+                            apart=TITLE * named + (4.0 if same else 16.0), between=OWN if apart else BETWEEN)
+    drawn = [[*_curves(quantity, run, axes, round(boxes[0].width))] for run, axes in zip(runs, shown, strict=True)]
+    power = power_of_thousand([curve.values for curves in drawn for curve in curves])
+    figure = page_figure(height)
+    first: Axes | None = None
+    for i, (run, box, curves) in enumerate(zip(runs, boxes, drawn, strict=True)):
+        axes = panel(figure, box, literal(run.title) if named else "", beside=None if apart else first)
+        for curve in curves:
+            axes.plot(curve.t, curve.values * 10.0 ** (-3 * power), gid=names_id([curve.name]), **curve.look)
+        for t, words in [each for each in run.events if run.span[0] < each[0] < run.span[1]][:MOST_MARKS]:
+            axes.axvline(t, color=DARK, linewidth=1.0, linestyle=(0, (3, 3)), gid=names_id([words]))
+        axes.set_xlim(*run.span)
+        axes.tick_params(labelleft=apart or i % across == 0,
+                         labelbottom=not same or i + min(across, len(runs)) >= len(runs))
+        first = first or axes
+    _texts(figure, panels, f"{quantity.quantity} ({PREFIX[power]}{quantity.unit})", height)
+    return embed(figure, quantity.quantity, _description(quantity, runs, drawn))
 
 
-def _range(curves: Sequence[Drawn]) -> tuple[float, float]:
-    every = [curve.line.range() for curve in curves]
-    return min((a for a, _ in every), default=0.0), max((b for _, b in every), default=0.0)
+def _texts(figure: Any, panels: Panels, title: str, height: float) -> None:
+    """The quantity and the legend in the line above the panels, and what runs along the lower axis."""
+    figure.text(LEFT / WIDTH, 1.0 - 11.0 / height, literal(title), fontsize=TEXT + 0.5, fontweight="bold")
+    figure.text((LEFT - 8.0) / WIDTH, 5.0 / height, "time (s)", fontsize=TEXT, ha="right")
+    handles = _legend(panels)
+    figure.legend(handles=handles, loc="upper right", ncols=len(handles), frameon=False, fontsize=TEXT, borderpad=0.0,
+                  borderaxespad=0.0, handlelength=1.4, handletextpad=0.5, columnspacing=1.4,
+                  bbox_to_anchor=(1.0 - RIGHT / WIDTH, 1.0 - 2.0 / height))
 
 
-def _curves(panel: TracePanel, run: Strip, shown: Sequence[int], time: PlotAxis, box: Box) -> Iterator[Drawn]:
+def _curves(panel: TracePanel, run: Strip, shown: Sequence[int], columns: int) -> Iterator[Drawn]:
     """The last curve is narrow, and lies over the others, which are wide: where they coincide both are seen."""
     has = [curve for curve in panel.curves if curve.name in run.trace]
-    t = run.trace["t"]
+    dashes = _dashes(run)
     for curve in has:
-        wide = "" if curve is has[-1] else " w"
-        dashes = _dashes(run)
         for name, i, values in axis_curves(column := run.trace[curve.name], shown, run.labels):
-            line = line_of(t, values, time.low, time.high, max(2, round(box.width)))
-            dash = dashes[i] if column.ndim > 1 else ""  # what is of all axes together is of none that is drawn
-            yield Drawn(f"{plain_number(curve.label)} {name}".rstrip(), f"{STYLE[curve.colour]}{wide}{dash}", line)
+            line = dashes[i] if column.ndim > 1 else "-"  # what is of all axes together is of none that is drawn
+            yield Drawn(f"{plain_number(curve.label)} {name}".rstrip(),
+                        *extremes(run.trace["t"], values, *run.span, columns),
+                        {"color": curve.colour, "linestyle": line, **(UNDER if curve is not has[-1] else NARROW)})
 
 
 def _dashes(run: Strip) -> dict[int, str]:
     """The style of the line of each axis of a run that shares a panel."""
-    return dict(zip(most_worked(run.trace, TOGETHER), DASH, strict=False))
+    return dict(zip(most_worked(run.trace, TOGETHER), LINES, strict=False))
 
 
-def _legend(panels: Panels) -> list[tuple[str, str]]:
+def _legend(panels: Panels) -> list[Any]:
+    """A line for each curve, the uppermost first, and for each axis that shares a panel."""
+    from matplotlib.lines import Line2D
+
     panel, runs = panels.panel, panels.runs
     has = [curve for curve in panel.curves if any(curve.name in run.trace for run in runs)]
-    legend_names = [(f"l {STYLE[curve.colour]}{'' if curve is has[-1] else ' w'}", plain_number(curve.label))
-                    for curve in reversed(has)]
+    lines = [Line2D([], [], color=curve.colour, label=plain_number(curve.label),
+                    **(UNDER if curve is not has[-1] else NARROW)) for curve in reversed(has)]
     several = [(run, shown) for run, shown in zip(runs, panels.shown, strict=True) if any(
         run.trace[curve.name].ndim > 1 for curve in has if curve.name in run.trace)]
-    axes = {f"l e{_dashes(run)[i]}": run.labels.names_for(axes_of(run.trace))[i]
-            for run, shown in several for i in shown}
-    return [*legend_names, *axes.items()]
+    axes = {_dashes(run)[i]: run.labels.names_for(axes_of(run.trace))[i] for run, shown in several for i in shown}
+    return [*lines, *[Line2D([], [], color=DARK, label=literal(name), **{**NARROW, "linestyle": dash})
+                      for dash, name in axes.items()]]
 
 
 def plain_number(label: str) -> str:
@@ -185,7 +195,7 @@ def _description(panel: TracePanel, runs: Sequence[Strip], drawn: Sequence[Seque
     """The figure in words, for who does not see it: each curve with its least and its greatest value."""
     legend_names = []
     for run, curves in zip(runs, drawn, strict=True):
-        ranges = [(curve.name, *curve.line.range()) for curve in curves]
+        ranges = [(curve.name, *curve.range()) for curve in curves]
         words = "; ".join(f"{name} from {si(low, panel.unit)} to {si(high, panel.unit)}" if low <= high else
                           f"{name} has no value" for name, low, high in ranges)
         legend_names.append(f"{run.title}: {words or 'it has none'}" if len(runs) > 1 else words)

@@ -424,7 +424,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
     "completion": ("Print the script with which a shell completes what is typed: commands, options, scenes, laws, "
                    "knobs.", _completion),
-    "report": ("Show stored folders again, and write them as one page of HTML; --plot draws too.", _report),
+    "report": ("Show stored folders again, and write them as one page of HTML, whose figures need the extra `plot`; "
+               "--plot draws files too.", _report),
     "replay": ("Run the law of each end of a live run again over what the end read and heard: the same to the bit, or "
                "where not; with --set, what another law would have commanded.", _replay),
     "export": ("Write a run that is over as a file for other tools: MCAP for Foxglove, CSV for pandas.", _export),

@@ -6,6 +6,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.axes import unit_on
+from teleop.simulation.trace import blocks
 from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
 from teleop.terminal.plotting import BLUE, DARK, GREEN, PNG, RED, UNDER, grid_lines, literal, new_figure, save
 from teleop.terminal.run_table import heading, verdict
@@ -27,6 +28,7 @@ BINS = 400  # at most, of equal length, along the time axis: each is about two p
 # a filled area. Measured of the forces of built-in scenes: 1.0 to 1.6 without loss and jitter, 1.9 to 9 with them.
 JUMPS = 1.75
 LINES = ("-", "--", ":")  # of the axes that share a panel
+GREATEST = 1e30  # a value beyond is a gap of a curve: nothing that is measured is as large
 
 
 class TraceCurve(NamedTuple):
@@ -133,7 +135,7 @@ def _fill(axes: Axes, panel: TracePanel, result: Result, shown: Sequence[int], *
     trace, dt = result.trace, result.dt
     has = [curve for curve in panel.curves if curve.name in trace]
     drawn = {curve.name: [*axis_curves(trace[curve.name], shown, result.labels)] for curve in has}
-    thousands = _thousands([values for several in drawn.values() for _, _, values in several])
+    thousands = power_of_thousand([values for several in drawn.values() for _, _, values in several])
     handles: list[tuple[Any, str]] = []
     for curve in has:
         lines: list[tuple[Any, str]] = []
@@ -198,7 +200,37 @@ def binned(t: NDArray[Any], values: NDArray[Any]) -> Bins | None:
     return Bins(ticks, np.add.reduceat(t, begin) / count, mean, least, greatest)
 
 
-def _thousands(columns: list[Any]) -> int:
+def extremes(t: NDArray[Any], values: NDArray[Any], low: float, high: float, columns: int
+             ) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The curve of `values` (ticks,) at rising times `t` over `low` .. `high`: two points in each of `columns`.
+
+    They are the least and the greatest value there. With fewer than two ticks a column each tick has both of its points
+    at its value. A value that is not finite, or beyond `GREATEST`, is a gap.
+    """
+    import numpy as np
+
+    def sound(some: NDArray[Any]) -> NDArray[Any]:
+        exact = np.asarray(some, dtype=float)
+        return np.where(np.abs(exact) <= GREATEST, exact, np.nan)
+
+    if len(t) < 2 * columns:
+        return np.repeat(np.asarray(t, dtype=float), 2), np.repeat(sound(values), 2)
+    least, greatest = np.full(columns, np.inf), np.full(columns, -np.inf)
+    for block in blocks(len(t)):
+        at = (np.asarray(t[block], dtype=float) - low) * (columns / (high - low))
+        place = np.clip(at.astype(np.int64), 0, columns - 1)
+        begin = np.flatnonzero(np.diff(place, prepend=-1))
+        drawn, part = place[begin], sound(values[block])
+        least[drawn] = np.fmin(least[drawn], np.fmin.reduceat(part, begin))
+        greatest[drawn] = np.fmax(greatest[drawn], np.fmax.reduceat(part, begin))
+    nothing = ~np.isfinite(least)
+    least[nothing] = greatest[nothing] = np.nan
+    rises = np.diff(least / 2.0 + greatest / 2.0, prepend=least[0]) >= 0.0
+    middle = low + (np.arange(columns) + 0.5) * ((high - low) / columns)
+    return np.repeat(middle, 2), np.where(rises, (least, greatest), (greatest, least)).T.ravel()
+
+
+def power_of_thousand(columns: list[Any]) -> int:
     """The power of a thousand whose SI prefix suits the greatest magnitude in `columns`."""
     import numpy as np
 

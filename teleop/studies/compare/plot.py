@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from math import inf, isfinite, isnan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,14 +32,17 @@ from teleop.terminal.plotting import (
     DARK,
     FAILS,
     GREY,
-    ORANGE,
     PALE,
     PNG,
+    PURPLE,
     SKY,
+    YELLOW,
     grid_lines,
     literal,
     new_figure,
     save,
+    scale_by_decades,
+    write_names,
 )
 
 if TYPE_CHECKING:
@@ -52,15 +54,10 @@ if TYPE_CHECKING:
     from teleop.studies.compare.cases import Comparison
 
 LAW_HEIGHT = 0.27  # inches a law
-ACROSS = 3  # blocks of the status map
-STATUS = {"ok": (SKY, "ok"), **dict.fromkeys(BAD, (ORANGE, "limit cycle, unstable or unsettled")),
-          "diverged": (FAILS, "diverged"), "refused": (PALE, "refused")}
+ACROSS, WIDEST = 3, 8.4  # blocks of the status map side by side: at most, and inches
+STATUS = {"ok": SKY, **dict.fromkeys(BAD, YELLOW), "unstable": PURPLE, "diverged": FAILS, "refused": PALE}
 WHERE = {FREE: "nothing touched", TOUCHED: "in contact"}
 LEAST = 1e-4  # share of the rigid rod's force, or of the environment's stiffness, from which on an axis goes
-LOG_FROM = 50.0  # greatest to least value, from which on an axis goes by decades
-
-
-Box = tuple[float, float, float, float]  # left, bottom, right and top, pixels
 
 
 class Question(NamedTuple):
@@ -82,9 +79,14 @@ DOTS = (
 def draw(rows: Sequence[Row], verdicts: Sequence[LawVerdict], comparison: Comparison, folder: Path,
          formats: Sequence[str] = PNG) -> list[Path]:
     """Draw every figure that the rows have something for into `folder`; returns the files."""
-    files = save(_status(rows, verdicts, comparison), folder / "status", formats)
-    scatter = _tracking(verdicts)
+    links, environments = ([each.name for each in some] for some in (comparison.links, comparison.environments))
+    status = status_map(rows, verdicts, links, environments)
+    status.suptitle("How the runs ended (the worst of a case's seeds)", fontsize=11)
+    files = save(status, folder / "status", formats)
+    scatter = tracking_plot(verdicts)
     if scatter is not None:
+        scatter.suptitle("Tracking against free-space drag: a law at the right tracks because it holds the hand",
+                         fontsize=11)
         files += save(scatter, folder / "tracking", formats)
     for question in DOTS:
         figure = _dots(question, rows, verdicts)
@@ -93,16 +95,17 @@ def draw(rows: Sequence[Row], verdicts: Sequence[LawVerdict], comparison: Compar
     return files
 
 
-def _status(rows: Sequence[Row], verdicts: Sequence[LawVerdict], comparison: Comparison) -> Figure:
+def status_map(rows: Sequence[Row], verdicts: Sequence[LawVerdict], links: Sequence[str], environments: Sequence[str]
+               ) -> Figure:
     """A map: laws down, links across in each environment's block."""
     from matplotlib.patches import Patch
 
-    laws, links = [each.law for each in verdicts], [link.name for link in comparison.links]
-    environments = [each.name for each in comparison.environments]
-    across = min(len(environments), ACROSS)
+    laws = [each.law for each in verdicts]
+    block = 0.26 * (len(links) + 1)  # inches
+    across = max(1, min(len(environments), ACROSS, int(WIDEST / block)))
     down = -(-len(environments) // across)
-    size = (max(6.0, 0.26 * (len(links) + 1) * across + 1.6), down * (0.26 * len(laws) + 1.5) + 0.8)
-    figure = new_figure(size, "How the runs ended (the worst of a case's seeds)")
+    size = (max(6.0, block * across + 1.6), down * (0.26 * len(laws) + 1.5) + 0.8)
+    figure = new_figure(size)
     every = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
     for axes in every[len(environments):]:
         axes.set_visible(False)
@@ -112,18 +115,20 @@ def _status(rows: Sequence[Row], verdicts: Sequence[LawVerdict], comparison: Com
             for x, link in enumerate(links):
                 status = ended[law].get((environment, link))
                 if status is not None:
-                    axes.add_patch(_square(x, y, STATUS[status][0]))
+                    axes.add_patch(_square(x, y, STATUS[status]))
         axes.set(xlim=(-0.5, len(links) - 0.5), ylim=(len(laws) - 0.5, -0.5), aspect="equal")
-        axes.set_xticks(range(len(links)), [literal(link) for link in links], rotation=90, fontsize=7)
-        axes.set_yticks(range(len(laws)), [literal(law) for law in laws], fontsize=8)
-        axes.set_title(literal(environment), fontsize=9)
+        axes.set_xticks(range(len(links)), [literal(link) for link in links], rotation=90, fontsize=9)
+        axes.set_yticks(range(len(laws)), [literal(law) for law in laws], fontsize=9)
+        axes.set_title(literal(environment), fontsize=10)
         axes.tick_params(length=0)
         for side in axes.spines.values():
             side.set_visible(False)
-    present = {row["ended"] for row in rows}
-    shown = dict.fromkeys(STATUS[status] for status in STATUS if status in present)
-    figure.legend(handles=[Patch(color=colour, label=label) for colour, label in shown], loc="outside lower center",
-                  ncols=len(shown), frameon=False, fontsize=8)
+    present = {status for by_case in ended.values() for status in by_case.values()}
+    shown: dict[str, list[str]] = {}
+    for status in [each for each in STATUS if each in present]:
+        shown.setdefault(STATUS[status], []).append(status)
+    figure.legend(handles=[Patch(color=colour, label=", ".join(words)) for colour, words in shown.items()],
+                  loc="outside lower center", ncols=len(shown), frameon=False, fontsize=9)
     return figure
 
 
@@ -133,58 +138,33 @@ def _square(x: int, y: int, colour: str) -> Any:
     return Rectangle((x - 0.45, y - 0.45), 0.9, 0.9, color=colour, linewidth=0)
 
 
-def _tracking(verdicts: Sequence[LawVerdict]) -> Figure | None:
+def tracking_plot(verdicts: Sequence[LawVerdict]) -> Figure | None:
     """Tracking error against free-space drag; the colour is the force on the wall against a rigid rod's."""
+    from matplotlib import colormaps
+
     drag, error, wall = [columns_of(verdicts)[key] for key in ("felt_drag", "x_err_rms", "wall_late")]
     points = [(each.law, drag.factor * each.figures["felt_drag"].value, error.factor * each.figures["x_err_rms"].value,
                wall.factor * each.figures["wall_late"].value) for each in verdicts]
     sound = [each for each in points if isfinite(each[1]) and isfinite(each[2])]
     if len(sound) < 2:
         return None
-    figure = new_figure((9.5, 6.2),
-                        "Tracking against free-space drag: a law at the right tracks because it holds the hand")
+    figure = new_figure((9.5, 6.2))
     axes = figure.subplots()
     colours = [min(max(press, 0.0), 200.0) if isfinite(press) else 0.0 for *_, press in sound]
-    dots = axes.scatter([x for _, x, _, _ in sound], [y for _, _, y, _ in sound], c=colours, cmap="RdYlBu_r", vmin=0.0,
-                        vmax=200.0, s=70, edgecolors=DARK, linewidths=0.6, zorder=3)
+    dots = axes.scatter([x for _, x, _, _ in sound], [y for _, _, y, _ in sound], c=colours, vmin=0.0, vmax=200.0,
+                        cmap=colormaps["RdYlBu_r"].resampled(64), s=70, edgecolors=DARK, linewidths=0.6, zorder=3)
     bar = figure.colorbar(dots, ax=axes)
     bar.set_label("force on the wall, % of a rigid rod's", fontsize=9)
     for name, column, values in (("x", drag, [x for _, x, _, _ in sound]), ("y", error, [y for _, _, y, _ in sound])):
-        _scale(axes, name, values)
+        scale_by_decades(axes, name, values)
         getattr(axes, f"set_{name}label")(f"{axis_title(column)}, median over the cases")
-    _names(axes, figure, [(law + (f" ({press:.0f} %)" if isfinite(press) else ""), x, y) for law, x, y, press in sound])
+    write_names(axes, figure, [(law + (f" ({press:.0f} %)" if isfinite(press) else ""), x, y)
+                               for law, x, y, press in sound])
     lost = [law for law, x, y, _ in points if not (isfinite(x) and isfinite(y))]
     if lost:
         axes.text(0.01, 0.01, literal(f"no value: {', '.join(lost)}"), transform=axes.transAxes, fontsize=8, color=DARK)
     grid_lines(axes)
     return figure
-
-
-def _names(axes: Axes, figure: Figure, points: Sequence[tuple[str, float, float]]) -> None:
-    """A name beside each point, at the first of eight places that is free of names and points, and inside the axes."""
-    figure.draw_without_rendering()
-    taken = [(x - 6.0, y - 6.0, x + 6.0, y + 6.0) for x, y in (axes.transData.transform(point[1:]) for point in points)]
-    inside = axes.get_window_extent()
-    for law, x, y in points:
-        label = axes.annotate(literal(law), (x, y), xytext=(8, 0), textcoords="offset points", fontsize=8, va="center")
-        size = label.get_window_extent()
-        at_x, at_y = axes.transData.transform((x, y))
-        free = None
-        for step in (0, 1, -1, 2, -2, 3, -3, 4, -4):
-            for left in (at_x + 12.0, at_x - 12.0 - size.width):
-                low = at_y + step * 0.8 * size.height - 0.5 * size.height
-                box = (left, low, left + size.width, low + size.height)
-                fits = inside.x0 < box[0] and box[2] < inside.x1
-                if free is None and fits and not any(map(partial(_overlap, box), taken)):
-                    free = box
-        if free is not None:
-            points_a_pixel = 72.0 / figure.dpi
-            label.set_position(((free[0] - at_x) * points_a_pixel, (0.5 * (free[1] + free[3]) - at_y) * points_a_pixel))
-            taken.append(free)
-
-
-def _overlap(a: Box, b: Box) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def _dots(question: Question, rows: Sequence[Row], verdicts: Sequence[LawVerdict]) -> Figure | None:
@@ -224,22 +204,7 @@ def _panel(axes: Axes, column: FigureColumn, cases: Mapping[str, Sequence[float]
         axes.set_xlim(left=0.7 * min([0.1 * column.factor, *every]), right=1.4 * max([column.factor, *every]))
         axes.xaxis.set_major_formatter("{x:g}")
     else:
-        _scale(axes, "x", every)
+        scale_by_decades(axes, "x", every)
     where = f", {WHERE[column.where]}" if column.where in WHERE else ""
     axes.set_xlabel(literal(f"{axis_title(column)}{where}"), fontsize=9)
     grid_lines(axes)
-
-
-def _scale(axes: Axes, name: str, values: Sequence[float]) -> None:
-    """Scale an axis by decades where the values ask for it; where some are zero or below, linearly around zero."""
-    sizes = sorted(abs(value) for value in values if value != 0.0)
-    if not sizes or sizes[-1] < LOG_FROM * sizes[len(sizes) // 20]:
-        return
-    if min(values) > 0.0:
-        getattr(axes, f"set_{name}scale")("log")
-    else:
-        near = max(sizes[len(sizes) // 4], sizes[-1] * 1e-4)
-        getattr(axes, f"set_{name}scale")("symlog", linthresh=near)
-        if min(values) >= 0.0:
-            low, high = getattr(axes, f"get_{name}lim")()
-            getattr(axes, f"set_{name}lim")(max(low, -0.4 * near), high)

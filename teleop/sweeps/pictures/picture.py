@@ -27,7 +27,20 @@ from teleop.sweeps.pictures.layout import (
     varying,
     with_unit,
 )
-from teleop.terminal.plotting import BLACK, GREY, PNG, RED, SKY, grid_lines, literal, need_plot, new_figure, save
+from teleop.terminal.plotting import (
+    BLACK,
+    GREY,
+    PALE,
+    PNG,
+    RED,
+    SKY,
+    grid_lines,
+    literal,
+    names_id,
+    need_plot,
+    new_figure,
+    save,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,6 +50,8 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 
+EDGE = "#0B0B0B"  # on cells: dark, also where a page makes black light
+WIDEST, ALONG, LEVELS = 10.0, 96, 64  # of a page: inches, cells along an axis, and colours of numbers
 CELLS = 4_000_000  # of a map; of more, which no picture has room for, the points are drawn as those of a sample
 VECTOR_CELLS = 10_000  # of a map in a vector format; more are an image in it, for each is a path that a reader draws
 
@@ -84,18 +99,20 @@ def map_points(table: Table, rows: NDArray[Any], x: PlottedKnob, y: PlottedKnob,
 
 def draw_maps(
     figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[PlottedKnob], metric: str | None,
-    words: Mapping[str, str], measured: str,
+    words: Mapping[str, str], measured: str, page: bool,
 ) -> str:
-    """Coloured cells by status, by share of runs that end ok, or by a metric; the boundary. Leaves nothing out.
+    """Coloured cells by status, by share of runs that end ok, or by a metric; the boundary. What was left out.
 
-    `words` are what the legend says of a status, `measured` the metric with its unit.
+    `words` are what the legend says of a status, `measured` the metric with its unit; `page`: see `picture_of`.
     """
     import numpy as np
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     x, y = knobs
+    most = ALONG if page else max(len(x.values), len(y.values))
     maps = [map_points(table, panel.rows, x, y, metric) for _, panel in shown]
     cells = len(x.values) * len(y.values)
     sampled = cells > CELLS or all(len(one.x) <= 2 * max(len(x.values), len(y.values)) < cells for one in maps)
@@ -104,6 +121,8 @@ def draw_maps(
     if metric is not None:
         values = np.concatenate([one.value for one in maps])
         norm, colours = _norm(values[np.isfinite(values)]), gradient_map()
+    if page:
+        colours = colours.resampled(LEVELS)
     drawn: set[str] = set()
     edged = False
     for (axes, panel), one in zip(shown, maps, strict=True):
@@ -116,24 +135,26 @@ def draw_maps(
         for word in {*labels.tolist()} - {""}:
             drawn.add(word)
             paint[labels == word] = to_rgba(STATUS.get(word, OTHER))
-        edged |= _place(axes, x, y, one, paint, sampled)
+        edged |= _place(axes, x, y, one, paint, sampled, most)
         ended = float((table["status"][panel.rows] == "ok").mean())
         between = "" if not panel.title else "\n" if "\n" in panel.title else ": "
         axes.set_title(f"{panel.title}{between}{100.0 * ended:.3g} % ok", fontsize=10)
     shown_words = sorted(drawn, key=[*STATUS, *sorted(drawn)].index)
-    handles = [Line2D([], [], marker="s", markersize=9, linestyle="none", color=STATUS.get(word, OTHER),
-                      label=literal(words.get(word, word), most=80)) for word in shown_words]
+    handles: list[Any] = [Line2D([], [], marker="s", markersize=9, linestyle="none", color=STATUS.get(word, OTHER))
+                          for word in shown_words]
+    labels_shown = [literal(words.get(word, word), most=80) for word in shown_words]
     if edged:
-        half = "boundary" if by_status else "half of the runs end ok"
-        handles.append(Line2D([], [], color=BLACK, linewidth=1.4, label=half))
+        handles.append((Patch(color=PALE), Line2D([], [], color=EDGE, linewidth=1.4)))
+        labels_shown.append("boundary" if by_status else "half of the runs end ok")
     if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
+        figure.legend(handles, labels_shown, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
     if not by_status:
         label = f"share of runs that end {words.get('ok', 'ok')}"
         if metric is not None:
             label = literal(f"{measured}, median of the runs ok")
         figure.colorbar(ScalarMappable(norm, colours), ax=[axes for axes, _ in shown], label=label)
-    return ""
+    return ", ".join(f"{most} of {len(knob.values)} values of {knob.name}" for knob in knobs
+                     if len(knob.values) > most and not sampled)
 
 
 def _norm(values: NDArray[Any]) -> Any:
@@ -149,7 +170,8 @@ def _norm(values: NDArray[Any]) -> Any:
     return (LogNorm if scaled == "log" else Normalize)(low, high)
 
 
-def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, points: MapPoints, paint: NDArray[Any], sampled: bool) -> bool:
+def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, points: MapPoints, paint: NDArray[Any], sampled: bool,
+           most: int) -> bool:
     """Colour the points: cells of a grid, with the boundary between them, or dots; True if there is a boundary."""
     import numpy as np
     from matplotlib.collections import LineCollection
@@ -158,10 +180,13 @@ def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, points: MapPoints, paint:
         axes.scatter(np.array(x.values)[points.x], np.array(y.values)[points.y], s=22.0, c=paint,
                      edgecolors=BLACK, linewidths=0.3)
         return False
-    across, up = _edges(axes.xaxis, x.values), _edges(axes.yaxis, y.values)
+    columns, rows = spread(len(x.values), most), spread(len(y.values), most)
+    across = _edges(axes.xaxis, tuple(x.values[i] for i in columns))
+    up = _edges(axes.yaxis, tuple(y.values[i] for i in rows))
     picture, good = np.ones((len(y.values), len(x.values), 4)), np.full((len(y.values), len(x.values)), np.nan)
     picture[points.y, points.x] = paint
     good[points.y, points.x] = np.where(np.isfinite(points.share), points.share >= 0.5, np.nan)
+    picture, good = picture[np.ix_(rows, columns)], good[np.ix_(rows, columns)]
     axes.pcolormesh(across, up, picture, shading="flat", rasterized=picture.size > 4 * VECTOR_CELLS)
     axes.set_xlim(across[0], across[-1])
     axes.set_ylim(up[0], up[-1])
@@ -169,7 +194,7 @@ def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, points: MapPoints, paint:
     lines = [((across[i + 1], up[j]), (across[i + 1], up[j + 1])) for j, i in np.argwhere(np.abs(np.diff(good)) > 0.0)]
     lines += [((across[i], up[j + 1]), (across[i + 1], up[j + 1]))
               for j, i in np.argwhere(np.abs(np.diff(good, axis=0)) > 0.0)]
-    axes.add_collection(LineCollection(lines, colors=BLACK, linewidths=1.4, capstyle="projecting"), autolim=False)
+    axes.add_collection(LineCollection(lines, colors=EDGE, linewidths=1.4, capstyle="projecting"), autolim=False)
     return bool(lines)
 
 
@@ -183,23 +208,37 @@ def draw(
 ) -> list[Path]:
     """Draw `table` into `path` with the suffix of each of `formats`, as `save` does; returns the files.
 
+    The rest is as in `picture_of`, under a `title`. Raises `Refused` as it does, and if the file cannot be written.
+    """
+    figure, remarks = picture_of(table, kind, metric, units or {}, words or {})
+    ended = ", ".join(f"{count} {status}" for status, count in table.counts().items())
+    heading = (title, f"{number_of(len(table), 'row')}: {ended}", *remarks)
+    figure.suptitle(literal(" · ".join(part for part in heading if part)), fontsize=11)
+    return save(figure, path, formats)
+
+
+def picture_of(table: Table, kind: str | None, metric: str | None, units: Mapping[str, str],
+               words: Mapping[str, str], *, page: bool = False) -> tuple[Figure, list[str]]:
+    """The picture of `table`, and what is to be said of it.
+
     `kind`: "stability" (two knobs as axes, cells coloured by status, or by the share of seeds that end ok, and the
     boundary between them), "metric" (the median over the seeds that end ok), "curves" (a metric over one knob, with
-    its quartiles and extremes over the seeds; a line for each value of another). Left out: of two knobs with numbers
-    a map, of the metric if that is given or every row ended ok, else of stability; of one curves. Knobs left over have
+    its quartiles and extremes over the seeds; a line for each value of another). None: of two knobs with numbers a
+    map, of the metric if that is given or every row ended ok, else of stability; of one curves. Knobs left over have
     a panel for each value. `metric` is one of `table.metrics`, left out the first. `units` are those of knobs and
-    metrics, `words` what the legend says of a status. Points without a grid (a random sample) are drawn as such. Raises
-    `Refused` if the extra is missing, nothing varies, or the file cannot be written.
+    metrics, `words` what the legend says of a status. Points without a grid (a random sample) are drawn as such.
+    `page`: it is not wider than `WIDEST`, has at most `ALONG` cells along an axis, and colours for any ground. Raises
+    `Refused` if the extra is missing or nothing varies.
     """
     need_plot()
-    knobs, notes = varying(table, units or {})
+    knobs, notes = varying(table, units)
     numeric = [knob.name for knob in knobs if knob.numeric]
     check([knob.name for knob in knobs], numeric, kind, metric, table.metrics)
     if kind is None:
         plain = metric is None and ({*table.counts()} != {"ok"} or not table.metrics)
         kind = "curves" if len(numeric) < 2 else "stability" if plain else "metric"
     metric = metric or next(iter(table.metrics), None)
-    measured = "" if metric is None else with_unit(metric, units or {})
+    measured = "" if metric is None else with_unit(metric, units)
     axes_knobs = axes_knobs_of(knobs, kind)
     others = [knob for knob in knobs if knob not in axes_knobs]
     sampled = [knob for knob in others if pairs_of(knob, axes_knobs[0]) is not None]  # of no value has it two rows
@@ -207,25 +246,23 @@ def draw(
     notes += [f"{knob.name} varies too" for knob in sampled]
     columns = min(3, len(panels))
     lines = -(-len(panels) // columns)
-    figure = new_figure((1.9 + 3.7 * columns + 1.6 * (columns == 1), 1.2 + 3.3 * lines))
+    wide = 1.9 + 3.7 * columns + 1.6 * (columns == 1)
+    figure = new_figure((min(wide, WIDEST) if page else wide, 1.2 + (2.6 if page else 3.3) * lines))
     every: Any = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes in every.ravel()[len(panels):]:
         axes.set_axis_off()
     shown = [*zip(every.ravel(), panels, strict=False)]
     if kind == "curves":
-        left = _curves(figure, shown, table, axes_knobs, str(metric))
+        left = _curves(figure, shown, table, axes_knobs, str(metric), page)
     else:
-        left = draw_maps(figure, shown, table, axes_knobs, metric if kind == "metric" else None, words or {}, measured)
+        left = draw_maps(figure, shown, table, axes_knobs, metric if kind == "metric" else None, words, measured, page)
     for at, (axes, _) in enumerate(shown):
         if at % columns == 0:
             axes.set_ylabel(axes_knobs[1].label if kind != "curves" else literal(measured))
         if at + columns >= len(panels):  # the lowest of its column, maybe above an empty place
             axes.set_xlabel(axes_knobs[0].label)
             axes.tick_params(axis="x", labelbottom=True)
-    ended = ", ".join(f"{count} {status}" for status, count in table.counts().items())
-    heading = (title, f"{number_of(len(table), 'row')}: {ended}", *notes, note, left)
-    figure.suptitle(literal(" · ".join(part for part in heading if part)), fontsize=11)
-    return save(figure, path, formats)
+    return figure, [part for part in (*notes, note, left) if part]
 
 
 def check(knobs: Sequence[str], numeric: Sequence[str], kind: str | None, metric: str | None, metrics: Sequence[str]
@@ -248,15 +285,19 @@ def check(knobs: Sequence[str], numeric: Sequence[str], kind: str | None, metric
 
 
 def _curves(
-    figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[PlottedKnob], metric: str
+    figure: Figure, shown: list[tuple[Axes, Panel]], table: Table, knobs: list[PlottedKnob], metric: str, page: bool
 ) -> str:
-    """Median, quartiles and extremes over the seeds; a cross where not every run ended ok. What was left out."""
+    """Median, quartiles and extremes over the seeds; a cross where not every run ended ok. What was left out.
+
+    `page`: see `picture_of`; lines of numbers have no gradient of colours, and points have names.
+    """
     import numpy as np
 
     x, by = knobs[0], knobs[1] if len(knobs) > 1 else None
     places = [0] if by is None else spread(len(by.values), LINES)
     where_x = np.array(x.values) if x.numeric else np.arange(len(x.values))
     every: list[float] = []
+    gradient = not page and by is not None and by.numeric
     for axes, panel in shown:
         crossed = 0
         for i, place in enumerate(places):
@@ -268,7 +309,6 @@ def _curves(
             five = np.array([np.quantile(each, (0.0, 0.25, 0.5, 0.75, 1.0)) if len(each) else [np.nan] * 5
                              for each in groups]).T
             every += five[np.isfinite(five)].tolist()
-            gradient = by is not None and by.numeric
             colour = gradient_map()(0.9 * i / max(1, len(places) - 1)) if gradient else TEXTS[i % len(TEXTS)]
             at = where_x if x.numeric else where_x + 0.1 * (i - (len(places) - 1) / 2.0)  # texts: side by side
             if max(map(len, groups)) > 1 and x.numeric:
@@ -277,10 +317,12 @@ def _curves(
             elif max(map(len, groups)) > 1:
                 axes.vlines(at, five[0], five[4], color=colour, alpha=0.4, linewidth=1.5)
                 axes.vlines(at, five[1], five[3], color=colour, alpha=0.4, linewidth=5.0)
+            name = "" if by is None else f"{by.name} {text_of(by.values[place])} "
             under = 0 if gradient else len(places) - 1 - i  # wider below others, so that equal ones are both seen
             axes.plot(at, five[2], color=colour, marker="o", markersize=3.0 + 0.4 * under if x.numeric else 5.0,
                       linewidth=1.3 + 0.4 * under if x.numeric else 0.0,
-                      label=None if by is None else literal(f"{by.name} {text_of(by.values[place])}", most=80))
+                      gid=names_id(f"{name}{value:.4g}" for value in five[2][np.isfinite(five[2])]) if page else None,
+                      label=literal(name.rstrip(), most=80) or None)
             bad = np.unique(x.place[rows][~ok])
             if len(bad):  # above the axis, in heights of the panel
                 (crosses,) = axes.plot(at[bad], np.full(len(bad), 0.025 + 0.035 * crossed), color=colour,

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import re
 from html.parser import HTMLParser
+from itertools import accumulate
 from xml.etree import ElementTree
+
+from teleop.terminal.plotting import FRAME
 
 SVG = "{http://www.w3.org/2000/svg}"
 ALONE = {"meta", "link", "br", "img", "input", "hr"}  # elements of HTML that have no end
@@ -64,26 +67,29 @@ class Page(HTMLParser):
         assert policy.startswith("default-src 'none'; style-src 'sha256-")
 
 
-def curves(figure: ElementTree.Element) -> dict[str, list[list[tuple[int, int]]]]:
-    """The curves of a figure by name: of each the pieces between its gaps, points in tenths of the drawing."""
-    found: dict[str, list[list[tuple[int, int]]]] = {}
-    for path in figure.iter(f"{SVG}path"):
-        name = path.findtext(f"{SVG}title")
-        if name is not None and "l" in str(path.get("class")).split():
-            found.setdefault(name, []).extend(points(str(path.get("d"))))
+def curves(figure: ElementTree.Element) -> dict[str, list[list[tuple[float, float]]]]:
+    """What has a name in a figure: of each curve the pieces between its gaps, as points of the drawing."""
+    found: dict[str, list[list[tuple[float, float]]]] = {}
+    for group in figure.iter():
+        name = group.findtext(f"{SVG}title") if group is not figure else None
+        for path in group.iter(f"{SVG}path") if name is not None else ():
+            found.setdefault(str(name), []).extend(points(str(path.get("d"))))
     return found
 
 
-def points(path: str) -> list[list[tuple[int, int]]]:
+def points(path: str) -> list[list[tuple[float, float]]]:
     """The points of a path of moves and relative lines."""
-    pieces = []
-    for piece in path.split("M")[1:]:
-        start, _, rest = piece.partition("l")
-        x, y = map(int, start.split())
-        told = [(x, y)]
-        numbers = [int(number) for number in re.findall(r"-?\d+", rest)]
-        for dx, dy in zip(numbers[::2], numbers[1::2], strict=True):
-            x, y = x + dx, y + dy
-            told.append((x, y))
-        pieces.append(told)
-    return pieces
+    pieces = [[float(number) for number in re.findall(r"-?\d*\.?\d+", piece)] for piece in path.split("M")[1:]]
+    return [[*zip(accumulate(piece[::2]), accumulate(piece[1::2]), strict=True)] for piece in pieces]
+
+
+def texts(figure: ElementTree.Element) -> list[str]:
+    """The texts that are drawn in a figure."""
+    return [str(one.text) for one in figure.iter(f"{SVG}text")]
+
+
+def frames(figure: ElementTree.Element) -> list[tuple[float, float, float, float]]:
+    """Left, top, width and height of each panel."""
+    sides = [points(str(one.get("d")))[0] for one in figure.iter(f"{SVG}path") if one.get("stroke") == FRAME.lower()]
+    return [(left, top, right - left, foot - top) for ((left, foot), (_, top)), ((right, _), _) in
+            zip(sides[::4], sides[1::4], strict=True)]

@@ -13,9 +13,14 @@ from typing import Any
 import pytest
 
 import teleop.report.command
+import teleop.terminal.plotting
 from teleop import load_scene, run, sweep
+from teleop.sweeps.pictures.picture import EDGE
 from teleop.sweeps.store import Store
-from tests.teleop.report.read_page import SVG, Page
+from teleop.terminal.plotting import RED, SKY
+from tests.teleop.report.read_page import SVG, Page, curves, texts
+
+pytest.importorskip("matplotlib")
 
 Typed = Callable[..., Any]
 SHORT = ("--set", "duration=0.5")
@@ -148,6 +153,21 @@ class TestFolders:
 
 
 @pytest.mark.usefixtures("here")
+def test_without_matplotlib_tables_are_there_and_one_sentence_and_what_is_asked_for_is_refused(
+    typed: Typed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
+    assert typed("report", "a", "sweep", "b").code == 0
+    shown = Page(Path("report.html").read_bytes())
+    assert shown.figures == []
+    assert {"tracking error, rms", "2 values: 100, 1000", "Rows", "Knobs"} <= {*shown.texts}
+    assert [text for text in shown.texts if "matplotlib" in text] == [
+        "Figures need matplotlib, which is not installed; type pip install 'bilateral-teleop[plot]', and ask for the "
+        "report again."]
+    typed("report", "sweep", "--metric", "x_err_rms").assert_refused("bilateral-teleop[plot]")
+
+
+@pytest.mark.usefixtures("here")
 class TestASweep:
     def test_that_grows_has_its_table_and_a_sentence_in_place_of_a_page(self, typed: Typed) -> None:
         definition = json.loads(Path("sweep/sweep.json").read_text())
@@ -163,7 +183,13 @@ class TestASweep:
         typed("report", "sweep")
         shown = Page(Path("sweep/report.html").read_bytes())
         shown.assert_needs_nothing_else()
-        assert [figure.findtext(f"{SVG}title") for figure in shown.figures] == ["x_err_rms over delay and k_e"]
+        (figure,) = shown.figures
+        assert figure.findtext(f"{SVG}title") == "k_e (N/m) over delay (s)"
+        words = texts(figure)
+        errors = Store.look("sweep").table()["x_err_rms"]
+        bar = [float(text) for text in words[words.index("100 % ok") + 1:-1]]  # at its colours
+        assert errors.min() <= bar[0] < bar[-1] <= errors.max()
+        assert words[-1] == "x_err_rms (m), median of the runs ok"
         assert {"3 values: 0, 0.05, 0.1", "2 values: 100, 1000"} <= {*shown.texts}
         assert "Rows" in shown.texts
 
@@ -172,23 +198,30 @@ class TestASweep:
         sweep("soft_tissue", axes, fixed={"duration": 2.0, "law": "direct", "x_limit": 0.3}, engine="plain", out="map")
         typed("report", "map")
         (figure,) = Page(Path("map/report.html").read_bytes()).figures
-        styles = [one.get("class") for one in figure.iter(f"{SVG}path")]
-        assert {"aok", "adiverged", "edge"} <= {*styles}
-        assert {"ok", "diverged"} <= {one.text for one in figure.iter(f"{SVG}text")}
+        looks = {one.get(name) for one in figure.iter(f"{SVG}path") for name in ("fill", "stroke")}
+        assert {SKY.lower(), RED.lower(), EDGE.lower()} <= looks
+        assert {"ok", "diverged", "boundary", "delay (s)", "k_e (N/m)"} <= {*texts(figure)}
 
     def test_over_one_knob_has_curves_with_a_point_a_value(self, typed: Typed) -> None:
         axes = {"delay": [0.0, 0.05, 0.1], "law": ["wave", "pp"]}
         sweep("soft_tissue", axes, fixed={"duration": 0.1}, engine="plain", out="line")
         typed("report", "line")
         (figure,) = Page(Path("line/report.html").read_bytes()).figures
-        assert len([*figure.iter(f"{SVG}circle")]) == 6
+        names = [*curves(figure)]
+        assert len(names) == 6
+        assert [name.split()[:2] for name in names] == [["law", "wave"]] * 3 + [["law", "pp"]] * 3
 
     def test_of_a_sample_is_drawn_as_points(self, typed: Typed) -> None:
         typed("sweep", "soft_tissue", "--grid", "delay=0:0.1", "k_e=1e2:1e3", "--latin", "9", "--set", "duration=0.1",
               "--out", "drawn")
         typed("report", "drawn")
         (figure,) = Page(Path("drawn/report.html").read_bytes()).figures
-        assert len([*figure.iter(f"{SVG}circle")]) == 9
+        assert len([one for one in figure.iter(f"{SVG}path") if "c" in str(one.get("d"))]) == 9  # round
+
+    def test_of_more_values_than_a_page_has_cells_says_so(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("teleop.sweeps.pictures.picture.ALONG", 2)
+        typed("report", "sweep")
+        assert "Shown: 2 of 3 values of delay." in Page(Path("sweep/report.html").read_bytes()).texts
 
     def test_of_seeds_alone_has_no_figure_and_says_why(self, typed: Typed) -> None:
         sweep("jittery_wan", {}, fixed={"duration": 0.1}, seeds=2, engine="plain", out="seeds")

@@ -143,10 +143,10 @@ class TestReport:
             typed("report", "here", "--plot").assert_refused("pip install")
             assert typed("report", "here").out == f"{first}page: here/report.html\n"
         assert not Path("here/plot.png").exists()
-        assert typed("report", "here", "--plot").out == first + "plot: here/plot.png\npage: here/report.html\n"
+        assert typed("report", "here", "--plot").out == first + "plot: here/plot.png\npage: here/report-2.html\n"
         assert json.loads(typed("report", "here", "--json", "--plot").out)["plots"] == ["here/plot.png"]
         assert {path.name for path in Path("here").iterdir()} == {
-            "summary.json", "trace.npz", "plot.png", "report.html"}
+            "summary.json", "trace.npz", "plot.png", "report.html", "report-2.html"}
 
     def test_of_a_folder_that_may_only_be_read_is_given_without_a_figure(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
