@@ -7,6 +7,6 @@ the motion that it is told of. What comes out is a law like any other, a frozen 
 law keep their names, those of the stage have its name before them (`law.deadband_k`).
 
     names       the stages by name, and how a text names them with their numbers
-    compose     a stage and a law made into one class, as text
-    deadband, guard   the stages, one file each
+    compose     a stage and a law made into one class
+    deadband, guard, virtual_coupling   the stages, one file each
 """

@@ -32,34 +32,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 from teleop.knob import Knob, check_knobs
-from teleop.laws.around.compose import EndLines, InnerEnd
+from teleop.law import At
+from teleop.laws.around.compose import Message, StageEnd, bind, flat_record, nothing
 
 BIG = 1.7e308  # beyond every number that a message may have; twice as much would be no number
-
-
-def moved(k: float, floor: float, q: float, last: float) -> float:
-    """1.0 if a value is sent, 0.0 if the last one stands for it."""
-    away = abs(q - last)
-    return max(1.0 - (away <= max(k * abs(last), floor)) * 1.0, (k <= 0.0) * 1.0)
-
-
-def unpaid(q: float, last: float, account: float, dt: float) -> float:
-    """1.0 if a wave cannot be held, since its account does not pay for the last one again, else 0.0."""
-    return (last * last > q * q + 2.0 * account / dt) * 1.0
-
-
-def sent_value(send: float, q: float, last: float) -> float:
-    """`q` to the bit where `send` is 1.0, else `last`."""
-    return min(max(q, last - send * BIG), last + send * BIG)
-
-
-def within(wave: float, q: float, account: float, dt: float) -> float:
-    """`wave`, smaller where the account is below zero."""
-    most = sqrt(max(q * q + 2.0 * min(account, 0.0) / dt, 0.0)) + (account >= 0.0) * BIG
-    return min(max(wave, -most), most)
 
 
 @dataclass(frozen=True)
@@ -76,37 +55,87 @@ class DeadbandWrapper:
         check_knobs(self)
 
     @classmethod
-    def lines(cls, end: InnerEnd) -> EndLines:
+    def end(cls, name: str, sends: Mapping[str, str]) -> StageEnd[Any, Any, Any, Any]:
         """At each end: what is sent last, of waves its account and the power above it, and how many were sent."""
-        state = {"deadband_begun": "0.0", "deadband_sent": "0.0"}
-        after = ["deadband_send = 1.0 - s.deadband_begun"]
-        decides = {name: of_kind for name, of_kind in end.sends.items() if of_kind != "total"}
-        for name, of_kind in decides.items():
-            state[f"deadband_{name}"] = "0.0"
-            last = f"s.deadband_{name}"
-            after.append("deadband_send = max(deadband_send, moved(self.deadband_k, self.deadband_floor, "
-                         f"tx_{name}, {last}))")
-            if of_kind == "wave":
-                state |= {f"deadband_A_{name}": "0.0", f"deadband_P_{name}": "0.0"}
-                after += [f"deadband_A_{name} = s.deadband_A_{name} + (at.span - at.dt) * s.deadband_P_{name}",
-                          f"deadband_send = max(deadband_send, unpaid(tx_{name}, {last}, deadband_A_{name}, at.dt))"]
-        for name, of_kind in decides.items():
-            after.append(f"deadband_{name} = sent_value(deadband_send, tx_{name}, s.deadband_{name})")
-            if of_kind == "wave":
-                after += [f"deadband_{name} = within(deadband_{name}, tx_{name}, deadband_A_{name}, at.dt)",
-                          f"deadband_P_{name} = 0.5 * (tx_{name} * tx_{name} - deadband_{name} * deadband_{name})",
-                          f"deadband_A_{name} = deadband_A_{name} + at.dt * deadband_P_{name}"]
-            after.append(f"tx_{name} = deadband_{name}")
-        after += ["deadband_begun = 1.0", "deadband_sent = s.deadband_sent + deadband_send"]
-        positions = tuple([f"deadband_{name}" for name, of_kind in decides.items() if of_kind == "position"])
-        return EndLines(state=state, after=tuple(after), positions=positions)
-
-    @classmethod
-    def words(cls) -> Mapping[str, Any]:
-        """The functions of this file that the lines name."""
-        return {"moved": moved, "unpaid": unpaid, "sent_value": sent_value, "within": within}
+        state: dict[str, str] = {}
+        rest: Any = FIELDS["end"]["rest"]
+        for field, of_kind in reversed([*sends.items()]):
+            words = FIELDS.get(of_kind, FIELDS["sample"])
+            rest = bind(fields_held, f"{name} {field}", **words, rest=rest)
+            names = {"total": (), "wave": (field, f"A_{field}", f"P_{field}")}.get(of_kind, (field,))
+            state = dict.fromkeys(names, "position" if of_kind == "position" else "sample") | state
+        Last = flat_record("Last", {"begun": "sample", "sent": "sample", **state})
+        return StageEnd(bind(lambda _, _at: (Record(*(0.0,) * size), ()), name, Record=Last, size=len(Last._fields)),
+                        bind(send, name, Record=Last, rest=rest))
 
     @classmethod
     def claims_of(cls, claims: Any) -> Any:
         """Claims of the law but `E_port`."""
         return {ledger: condition for ledger, condition in claims.items() if ledger != "E_port"}
+
+
+class HeldSample(NamedTuple):
+    last: float  # as it was sent last
+
+
+class HeldWave(NamedTuple):
+    last: float  # as it was sent last
+    A: float  # its account, J
+    P: float  # power above the one that was sent, W
+
+
+def asks(deadband: DeadbandWrapper, s: HeldSample | HeldWave, _at: At, q: float) -> float:
+    """1.0 if a sample asks for its message, 0.0 if the last one stands for it."""
+    away = abs(q - s.last)
+    return max(1.0 - (away <= max(deadband.k * abs(s.last), deadband.floor)) * 1.0, (deadband.k <= 0.0) * 1.0)
+
+
+def hold(s: HeldSample, _at: At, is_sent: float, q: float) -> tuple[float, HeldSample]:
+    """`q` to the bit where `is_sent` is 1.0, else the last one."""
+    q = min(max(q, s.last - is_sent * BIG), s.last + is_sent * BIG)
+    return q, HeldSample(q)
+
+
+def account(s: HeldWave, at: At) -> float:
+    """The account of a wave, which went on over ticks that were left out (J)."""
+    return s.A + (at.span - at.dt) * s.P
+
+
+def wave_asks(deadband: DeadbandWrapper, s: HeldWave, at: At, q: float) -> float:
+    """1.0 if a wave asks for its message, for its account does not pay for the last one again either, else 0.0."""
+    unpaid = (s.last * s.last > q * q + 2.0 * account(s, at) / at.dt) * 1.0
+    return max(asks(deadband, s, at, q), unpaid)
+
+
+def hold_wave(s: HeldWave, at: At, is_sent: float, q: float) -> tuple[float, HeldWave]:
+    """The wave or the last one, smaller where the account is below zero."""
+    A = account(s, at)
+    most = sqrt(max(q * q + 2.0 * min(A, 0.0) / at.dt, 0.0)) + (A >= 0.0) * BIG
+    last = min(max(hold(HeldSample(s.last), at, is_sent, q)[0], -most), most)
+    P = 0.5 * (q * q - last * last)
+    return last, HeldWave(last, A + at.dt * P, P)
+
+
+# The fields of a message one after the other: `bind` gives each its own of these names, and `rest` for those behind it
+
+ask = hold_field = rest = Record = nothing
+size = 0
+FIELDS: dict[str, dict[str, Any]] = {
+    "sample": {"ask": asks, "hold_field": hold, "Record": HeldSample, "size": 1},
+    "wave": {"ask": wave_asks, "hold_field": hold_wave, "Record": HeldWave, "size": 3},
+    "total": {"ask": lambda _deadband, _s, _at, _q: 0.0, "hold_field": lambda _s, _at, _is_sent, q: (q, ())},
+    "end": {"rest": lambda _deadband, _s, _at, is_sent, _tx: (is_sent, (), ())}}
+
+
+def fields_held(deadband: DeadbandWrapper, s: Message, at: At, is_sent: float, tx: Message) -> Any:
+    """If the message is sent, its fields from this one on, and their state."""
+    held, q = Record(*s[:size]), tx[0]
+    is_sent, tx, s = rest(deadband, s[size:], at, max(is_sent, ask(deadband, held, at, q)), tx[1:])
+    q, held = hold_field(held, at, is_sent, q)
+    return is_sent, (q,) + tx, held[:] + s  # noqa: RUF005 - lanes make no lists
+
+
+def send(deadband: DeadbandWrapper, s: Any, at: At, _rx: tuple[()], _over: tuple[()], f: float, tx: Message) -> Any:
+    """The message, or the last one in its place."""
+    is_sent, tx, held = rest(deadband, s[2:], at, 1.0 - s.begun, tx)
+    return f, tx, (), Record(*((1.0, s.sent + is_sent) + held))  # noqa: RUF005

@@ -38,31 +38,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
+from teleop import kind
 from teleop.knob import Knob, check_knobs
+from teleop.law import At
 from teleop.law.offers import Facts, enough
-from teleop.laws.around.compose import EndLines, InnerEnd
+from teleop.laws.around.compose import Message, StageEnd
 
 TINY = 1e-30  # m/s: below this a velocity is none
-
-
-def let_through(g: float, v: float, level: float, axes: float, dt: float, k: float, alpha: float, v_min: float,
-                drag: float) -> float:
-    """Force (N) that an account of `level` J lets through to drive a device; see the head of the file."""
-    energy = max(level, 0.0) / axes
-    most = sqrt(2.0 * k * energy)
-    drive = min(most, energy / (dt * max(abs(v), TINY)))
-    brake = max(most, alpha * abs(v))
-    ahead, astern = (v > 0.0) * 1.0, (v < 0.0) * 1.0
-    rest = (1.0 - ahead - astern) * most
-    damper = min(max(-level, 0.0) / (dt * max(v * v, v_min * v_min)), alpha) + drag
-    return min(max(g - damper * v, -(ahead * brake + astern * drive + rest)), ahead * drive + astern * brake + rest)
-
-
-def master_damper(drag: float, level: float, seed: float) -> float:
-    """The damper at the master (N s/m) for a slave whose account has `level` J."""
-    return drag * min(max(1.0 - level / max(seed, TINY), 0.0), 1.0)
 
 
 @dataclass(frozen=True)
@@ -82,31 +66,9 @@ class GuardWrapper:
         check_knobs(self)
 
     @classmethod
-    def lines(cls, end: InnerEnd) -> EndLines:
+    def end(cls, name: str, _sends: Mapping[str, str]) -> StageEnd[Any, Any, Any, Any]:
         """At each end: its account, what it has told and what it has seen; the force after the law."""
-        master = end.name == "master"
-        sign = "" if master else "-"
-        drag = "master_damper(self.guard_drag, rx.guard_H, self.guard_E0)" if master else "0.0"
-        after = (
-            "guard_seen = max(s.guard_seen, rx.guard_E)",
-            "guard_H = s.guard_H + over.guard_w + (guard_seen - s.guard_seen)",
-            "guard_gives = max(guard_H - self.guard_E0, 0.0)",
-            "guard_E = s.guard_E + guard_gives",
-            "guard_H = guard_H - guard_gives",
-            f"f = let_through({'-' if master else ''}f, at.v, guard_H, over.guard_n, at.dt, self.guard_k, "
-            f"self.guard_alpha, self.guard_v_min, {drag})",
-            *(("f = -f",) if master else ()),
-        )
-        return EndLines(
-            state={"guard_H": "self.guard_E0", "guard_E": "0.0", "guard_seen": "0.0"},
-            sends={"guard_E": ("total", "0.0"), **({} if master else {"guard_H": ("sample", "self.guard_E0")})},
-            sums={"guard_w": f"{sign}at.f_held * at.dx", "guard_n": "1.0"},
-            after=after, stored="s.guard_H + s.guard_E - s.guard_seen")
-
-    @classmethod
-    def words(cls) -> Mapping[str, Any]:
-        """The functions of this file that the lines name."""
-        return {"let_through": let_through, "master_damper": master_damper}
+        return MASTER if name == "master" else SLAVE
 
     @classmethod
     def conditions_of(cls, law: Any, sentences: tuple[str, ...], facts: Facts) -> tuple[str, ...]:
@@ -122,3 +84,64 @@ class GuardWrapper:
     def claims_of(cls, claims: Any) -> Any:  # noqa: ARG003 - those of the law are of a force that is not held
         """`E_law` alone, whatever the law claims."""
         return {"E_law": "any link"}
+
+
+class Account(NamedTuple):
+    H: float  # J
+    E: float  # told to the other end so far, J
+    seen: float  # of what the other end has told, J
+
+
+class FromMaster(NamedTuple):
+    E: kind.Total  # J
+
+
+class FromSlave(NamedTuple):
+    E: kind.Total  # J
+    H: float  # J
+
+
+class Work(NamedTuple):
+    w: float  # of the last tick, over all axes, J
+    n: float  # axes
+
+
+def settle(guard: GuardWrapper, s: Account, E_rx: float, over: Work) -> Account:
+    """The account after the work of a tick, where the other end tells of `E_rx` J."""
+    seen = max(s.seen, E_rx)
+    H = s.H + over.w + (seen - s.seen)
+    gives = max(H - guard.E0, 0.0)
+    return Account(H - gives, s.E + gives, seen)
+
+
+def let_through(guard: GuardWrapper, s: Account, at: At, over: Work, g: float, drag: float) -> float:
+    """Force (N) that an account lets through to drive a device; see the head of the file."""
+    v, energy = at.v, max(s.H, 0.0) / over.n
+    most = sqrt(2.0 * guard.k * energy)
+    drive = min(most, energy / (at.dt * max(abs(v), TINY)))
+    brake = max(most, guard.alpha * abs(v))
+    ahead, astern = (v > 0.0) * 1.0, (v < 0.0) * 1.0
+    rest = (1.0 - ahead - astern) * most
+    damper = min(max(-s.H, 0.0) / (at.dt * max(v * v, guard.v_min * guard.v_min)), guard.alpha) + drag
+    return min(max(g - damper * v, -(ahead * brake + astern * drive + rest)), ahead * drive + astern * brake + rest)
+
+
+def master(guard: GuardWrapper, s: Account, at: At, rx: FromSlave, over: Work, f: float, tx: Message
+           ) -> tuple[float, Message, FromMaster, Account]:
+    """The master after the law, with a damper for a slave that has less than it began with."""
+    s = settle(guard, s, rx.E, over)
+    drag = guard.drag * min(max(1.0 - rx.H / max(guard.E0, TINY), 0.0), 1.0)
+    return -let_through(guard, s, at, over, -f, drag), tx, FromMaster(s.E), s
+
+
+def slave(guard: GuardWrapper, s: Account, at: At, rx: FromMaster, over: Work, f: float, tx: Message
+          ) -> tuple[float, Message, FromSlave, Account]:
+    """The slave after the law."""
+    s = settle(guard, s, rx.E, over)
+    return let_through(guard, s, at, over, f, 0.0), tx, FromSlave(s.E, s.H), s
+
+
+MASTER = StageEnd(lambda guard, _: (Account(guard.E0, 0.0, 0.0), FromSlave(0.0, guard.E0)), master,
+                  share=lambda _, _s, at: Work(at.f_held * at.dx, 1.0), stored=lambda s: s.H + s.E - s.seen)
+SLAVE = StageEnd(lambda guard, _: (Account(guard.E0, 0.0, 0.0), FromMaster(0.0)), slave,
+                 share=lambda _, _s, at: Work(-at.f_held * at.dx, 1.0), stored=lambda s: s.H + s.E - s.seen)

@@ -35,18 +35,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
 from teleop.law.offers import Facts, enough
-from teleop.laws.around.compose import EndLines, InnerEnd
-
-
-def tool_velocity(y: float, u: float, net: float, x: float, v: float, m: float, b: float, K: float, B: float,
-                  T: float) -> float:
-    """The tool's velocity (m/s) after T s under the coupling and the held force -`net` (N)."""
-    return (m * u / T + K * (x - y) + B * v - net) / (m / T + B + K * T + b)
+from teleop.laws.around.compose import Message, StageEnd
 
 
 @dataclass(frozen=True)
@@ -67,28 +61,9 @@ class VirtualCouplingWrapper:
         check_knobs(self)
 
     @classmethod
-    def lines(cls, end: InnerEnd) -> EndLines:
+    def end(cls, name: str, _sends: Mapping[str, str]) -> StageEnd[Any, Any, Any, Any]:
         """At the master: the tool, and what the law is told of it; at the slave nothing."""
-        if end.name == "slave":
-            return EndLines()
-        vc = "virtual_coupling"
-        before = (
-            f"{vc}_y = s.{vc}_y + (1.0 - at.gain) * (at.x - s.{vc}_y)",
-            f"{vc}_u = tool_velocity({vc}_y, s.{vc}_u, s.{vc}_net, at.x, at.v, self.{vc}_mass, "
-            f"self.{vc}_damping, self.{vc}_K, self.{vc}_B, at.span)",
-            f"{vc}_y = {vc}_y + at.span * {vc}_u",
-            f"{vc}_f = self.{vc}_K * (at.x - {vc}_y) + self.{vc}_B * (at.v - {vc}_u)",
-            f"at = At({vc}_y, {vc}_u, {vc}_f, s.{vc}_net, {vc}_y - s.{vc}_y, at.fresh, at.age, at.dt, at.span, "
-            "1.0)",
-        )
-        after = (f"{vc}_net = f", f"f = {vc}_f")
-        state = {f"{vc}_y": "at.x - at.dt * at.v", f"{vc}_u": "at.v", f"{vc}_net": "0.0"}  # a tick before the first
-        return EndLines(state=state, before=before, after=after)
-
-    @classmethod
-    def words(cls) -> Mapping[str, Any]:
-        """Functions and types that the lines name."""
-        return {"tool_velocity": tool_velocity, "At": At}
+        return MASTER if name == "master" else SLAVE
 
     @classmethod
     def claims_of(cls, claims: Any) -> Any:  # noqa: ARG003 - those of the law are of the tool's port
@@ -113,3 +88,35 @@ class VirtualCouplingWrapper:
             return (*texts, f"{begins}; --set law.virtual_coupling_B={enough(damping - leak, least=False)} is the most")
         most = enough(2.0 * damping / facts.dt, least=False)
         return (*texts, f"{begins}; --set law.virtual_coupling_K={most} --set law.virtual_coupling_B=0 are the most")
+
+
+class CoupledTool(NamedTuple):
+    y: float  # m
+    u: float  # m/s
+    net: float  # force that the law holds on it, N
+
+
+def hand_force(coupling: VirtualCouplingWrapper, s: CoupledTool, at: At) -> float:
+    """Force of the coupling on the hand (N)."""
+    return coupling.K * (at.x - s.y) + coupling.B * (at.v - s.u)
+
+
+def move_tool(coupling: VirtualCouplingWrapper, s: CoupledTool, at: At) -> tuple[At, CoupledTool]:
+    """The tool at this tick, and the situation of a law that has it for a device."""
+    K, B, m, T = coupling.K, coupling.B, coupling.mass, at.span
+    y = s.y + (1.0 - at.gain) * (at.x - s.y)
+    u = (m * s.u / T + K * (at.x - y) + B * at.v - s.net) / (m / T + B + K * T + coupling.damping)
+    tool = CoupledTool(y + T * u, u, s.net)
+    f = hand_force(coupling, tool, at)
+    return At(tool.y, u, f, s.net, tool.y - s.y, at.fresh, at.age, at.dt, T, 1.0), tool
+
+
+def hold(coupling: VirtualCouplingWrapper, s: CoupledTool, at: At, _rx: tuple[()], _over: tuple[()], f: float,
+         tx: Message) -> tuple[float, Message, tuple[()], CoupledTool]:
+    """The law's force is held on the tool, and that of the coupling on the hand."""
+    return hand_force(coupling, s, at), tx, (), CoupledTool(s.y, s.u, f)
+
+
+MASTER = StageEnd(lambda _, at: (CoupledTool(at.x - at.dt * at.v, at.v, 0.0), ()), hold, before=move_tool)
+SLAVE: StageEnd[Any, Any, Any, Any] = StageEnd(
+    lambda _, _at: ((), ()), lambda _, s, _at, _rx, _over, f, tx: (f, tx, (), s))

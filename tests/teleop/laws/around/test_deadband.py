@@ -10,7 +10,8 @@ import pytest
 
 from teleop import check_law, load_scene, run
 from teleop.law import At
-from teleop.laws.around.deadband import DeadbandWrapper, moved, sent_value, unpaid, within
+from teleop.laws.around import compose
+from teleop.laws.around.deadband import FIELDS, DeadbandWrapper, HeldSample, HeldWave, asks, hold, hold_wave, wave_asks
 from teleop.laws.around.names import around
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
@@ -67,11 +68,12 @@ def test_what_comes_out_is_a_law_that_keeps_what_it_claims(law: Any) -> None:
 
 
 def test_a_deadband_that_holds_waves_as_it_holds_samples_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    from teleop.laws.around import compose
+    def hold_as_sample(s: HeldWave, at: At, is_sent: float, q: float) -> tuple[float, HeldWave]:
+        last = hold(HeldSample(s.last), at, is_sent, q)[0]
+        return last, HeldWave(last, 0.0, 0.0)
 
     monkeypatch.setattr(compose, "_MADE", {})
-    monkeypatch.setattr(DeadbandWrapper, "words", classmethod(lambda _: {
-        "moved": moved, "unpaid": lambda *_: 0.0, "sent_value": sent_value, "within": lambda wave, *_: wave}))
+    monkeypatch.setitem(FIELDS, "wave", {**FIELDS["wave"], "ask": asks, "hold_field": hold_as_sample})
     with pytest.raises(ValueError, match="more than the waves brought"):
         check_law(around("deadband(0.3, floor=0.05)", Wave()))
 
@@ -97,11 +99,12 @@ def test_waves_that_are_sent_never_have_more_energy_than_those_there_were() -> N
 
 
 def test_numbers_that_are_none_are_sent_and_not_kept() -> None:
-    nan = float("nan")
-    assert moved(0.1, 1e-3, nan, 0.0) == 1.0
-    assert moved(0.1, 1e-3, 1.0, nan) == 1.0
-    assert str(sent_value(1.0, -0.0, 5.0)) == "-0.0"
-    assert sent_value(0.0, 3.0, 5.0) == 5.0
-    assert unpaid(1.0, 2.0, 0.0, 1e-3) == 1.0
-    assert unpaid(1.0, 2.0, 1.5e-3, 1e-3) == 0.0
-    assert within(2.0, 2.0, -1e-3, 1e-3) == pytest.approx(2.0**0.5)
+    nan, deadband, rest = float("nan"), DeadbandWrapper(0.1, 1e-3), at(0.0, 0.0)
+    assert asks(deadband, HeldSample(0.0), rest, nan) == 1.0
+    assert asks(deadband, HeldSample(nan), rest, 1.0) == 1.0
+    assert str(hold(HeldSample(5.0), rest, 1.0, -0.0)[0]) == "-0.0"
+    assert hold(HeldSample(5.0), rest, 0.0, 3.0)[0] == 5.0
+    deadband = DeadbandWrapper(1.0, 1e-3)  # none of these waves has moved
+    assert wave_asks(deadband, HeldWave(2.0, 0.0, 0.0), rest, 1.0) == 1.0
+    assert wave_asks(deadband, HeldWave(2.0, 1.5e-3, 0.0), rest, 1.0) == 0.0
+    assert hold_wave(HeldWave(0.0, -1e-3, 0.0), rest, 1.0, 2.0)[0] == pytest.approx(2.0**0.5)

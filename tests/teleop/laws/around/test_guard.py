@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from inspect import getsource
 from math import sqrt
 from typing import Any
 
@@ -12,8 +13,8 @@ import pytest
 from teleop import check_law, load_scene, run
 from teleop.errors import Refused
 from teleop.law import At
-from teleop.laws.around import compose
-from teleop.laws.around.guard import GuardWrapper, let_through, master_damper
+from teleop.laws.around import compose, guard
+from teleop.laws.around.guard import Account, FromSlave, GuardWrapper, Work, let_through, master
 from teleop.laws.around.names import around
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
@@ -21,11 +22,15 @@ from teleop.laws.wave import Wave
 from teleop.simulation.notes import facts_of
 from teleop.sweeps.kernels.functions import unlike_python, without_lanes
 
-NUMBERS: dict[str, float] = {"dt": 1e-3, "k": 5000.0, "alpha": 50.0, "v_min": 1e-3, "drag": 0.0}
+GUARD = GuardWrapper(k=5000.0, alpha=50.0, v_min=1e-3, drag=4.0)
 
 
-def through(g: float, v: float, level: float, axes: float = 1.0, **others: float) -> float:
-    return let_through(g, v, level, axes, **{**NUMBERS, **others})
+def at(v: float, f_held: float = 0.0, dx: float = 0.0) -> At:
+    return At(0.0, v, 0.0, f_held, dx, True, 1e-3, 1e-3, 1e-3)
+
+
+def through(g: float, v: float, level: float, axes: float = 1.0, drag: float = 0.0) -> float:
+    return let_through(GUARD, Account(level, 0.0, 0.0), at(v), Work(0.0, axes), g, drag)
 
 
 def test_a_force_that_the_account_pays_for_is_let_through_to_the_bit() -> None:
@@ -49,7 +54,9 @@ def test_what_is_let_through_of_a_force_that_is_not_paid_for() -> None:
 
 
 def test_the_hand_is_asked_for_as_much_as_the_slave_has_not() -> None:
-    assert [master_damper(4.0, level, 0.05) for level in (-1.0, 0.0, 0.025, 0.05, 1.0)] == [4.0, 4.0, 2.0, 0.0, 0.0]
+    forces = [master(GUARD, Account(GUARD.E0, 0.0, 0.0), at(1.0), FromSlave(0.0, level), Work(0.0, 1.0), 0.0, ())[0]
+              for level in (-1.0, 0.0, 0.025, 0.05, 1.0)]
+    assert forces == [4.0, 4.0, 2.0, 0.0, 0.0]  # at 1 m/s, with the sign of the master
 
 
 def test_an_end_pays_its_own_account_back_before_it_gives_the_other_end_any() -> None:
@@ -57,8 +64,7 @@ def test_an_end_pays_its_own_account_back_before_it_gives_the_other_end_any() ->
     s, rx = law.master_start(At(0.0, 0.0, 0.0, 0.0, 0.0, False, float("inf"), 1e-3, 1e-3))
     told = []
     for f_held, dx in ((1.0, -0.03), (1.0, 0.02), (1.0, 0.05)):  # J: 0.03 out, 0.02 back in, 0.05 more in
-        at = At(0.0, 0.0, 0.0, f_held, dx, True, 1e-3, 1e-3, 1e-3)
-        _, tx, s = law.master(s, at, rx, law.master_sums(s, at, rx))
+        _, tx, s = law.master(s, at(0.0, f_held, dx), rx, law.master_sums(s, at(0.0, f_held, dx), rx))
         told.append((round(s.guard_H, 12), round(tx.guard_E, 12)))
     assert told == [(0.07, 0.0), (0.09, 0.0), (0.1, 0.04)]
     assert law.master_stored(s) == pytest.approx(0.14)
@@ -105,28 +111,29 @@ def test_a_deadband_around_a_guard_keeps_its_books() -> None:
     check_law(around("deadband(0.3, floor=0.01) | guard", Direct()), compiled=False)
 
 
-MUTANTS = {
-    "what is given to the other end is kept as well": ("guard_H = guard_H - guard_gives", "guard_H = guard_H + 0.0"),
-    "what was told is taken again at each tick": ("guard_seen - s.guard_seen", "guard_seen"),
-    "what is given out is not counted": ("over.guard_w", "max(over.guard_w, 0.0)"),
-    "no force is held back": ("f = let_through(", "f = (lambda g, *_: g)("),
-    "an end that has none left drives on": ("at.v, guard_H, over", "at.v, abs(guard_H) + 0.01, over"),
-    "the slave counts work with the master's sign": ("-at.f_held", "at.f_held"),
+MUTANTS = {  # a function of the guard, and what of its lines is wrong
+    "what is given to the other end is kept as well": ("settle", "H - gives, s.E", "H, s.E"),
+    "what was told is taken again at each tick": ("settle", "(seen - s.seen)", "seen"),
+    "what is given out is not counted": ("settle", "over.w", "max(over.w, 0.0)"),
+    "no force is held back": ("let_through", "    v, energy =", "    return g\n    v, energy ="),
+    "an end that has none left drives on": ("let_through", "max(s.H, 0.0)", "(abs(s.H) + 0.01)"),
+    "the slave counts work with the master's sign": ("SLAVE", "", ""),
 }
 
 
 @pytest.mark.parametrize("wrong", MUTANTS)
 def test_a_guard_that_is_wrong_is_caught_by_the_check_of_every_law(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    old, new = MUTANTS[wrong]
-    right = GuardWrapper.lines
-
-    def lines(end: Any) -> Any:
-        made = right(end)
-        return made._replace(after=tuple([line.replace(old, new) for line in made.after]),
-                             sums={name: share.replace(old, new) for name, share in made.sums.items()})
-
+    name, old, new = MUTANTS[wrong]
+    if name == "SLAVE":
+        mutant: Any = guard.SLAVE._replace(share=guard.MASTER.share)
+    else:
+        lines = getsource(getattr(guard, name))
+        assert lines.count(old) == 1
+        scope = dict(vars(guard))
+        exec(lines.replace(old, new), scope)
+        mutant = scope[name]
     monkeypatch.setattr(compose, "_MADE", {})
-    monkeypatch.setattr(GuardWrapper, "lines", staticmethod(lines))
+    monkeypatch.setattr(guard, name, mutant)
     with pytest.raises(Refused, match="E_law"):
         check_law(around("guard", Direct()))
 

@@ -16,7 +16,11 @@ import numpy as np
 import pytest
 
 from teleop import Refused, around, load_scene, run, sweep
-from teleop.law import law_name
+from teleop.law import law_name, reads
+from teleop.laws.around.compose import StageEnd, compose
+from teleop.laws.around.names import STAGES
+from teleop.laws.direct import Direct
+from teleop.laws.pfra import PFRA
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.laws.wave import Wave
 from teleop.protocol.manifest import manifest_difference, manifest_of
@@ -101,6 +105,60 @@ def test_a_law_with_a_name_of_the_stage_is_told_so() -> None:
 
     with pytest.raises(Refused, match="has a field deadband_k, which is one of the stage"):
         around("deadband", Mine())
+
+
+class Commanded(NamedTuple):
+    force: float
+
+
+@dataclass(frozen=True)
+class Softer:
+    """A share of the law's force reaches the device."""
+
+    share: float = 0.5
+
+    name: ClassVar[str] = "softer"
+    shows: ClassVar[tuple[str, ...]] = ("softer_force",)
+    begun: ClassVar[Any] = Commanded(0.0)
+
+    @classmethod
+    def end(cls, _name: str, _sends: Any) -> Any:
+        return StageEnd(lambda _, _at: (Softer.begun, ()), lambda softer, _s, _at, _rx, _over, f, tx: (
+            softer.share * f, tx, (), Commanded(f)))
+
+    @classmethod
+    def claims_of(cls, _claims: Any) -> Any:
+        return {}
+
+
+def test_a_stage_of_ones_own_runs_in_every_engine_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    monkeypatch.setitem(STAGES, "softer", f"{__name__}:Softer")
+    axes = {"law.softer_share": [0.5, 1.0], "law.guard_k": [5000.0, 1.0]}
+    fixed = {"law": "guard | softer | direct", "duration": 0.3}
+    plain, *compiled = [sweep("free_motion", axes, fixed=fixed, engine=engine, metrics=["x_err_rms"])["x_err_rms"]
+                        for engine in ("plain", "scalar", "vector")]
+    assert len(set(plain)) == 4
+    assert all(np.array_equal(plain, each) for each in compiled)
+    alone, whole = [run(load_scene("free_motion", law=law, duration=0.3)).trace
+                    for law in (Direct(), compose(Softer(share=1.0), Direct()))]
+    assert all(np.array_equal(alone[name], whole[name], equal_nan=True) for name in alone)
+    assert np.array_equal(whole["softer_force_m"], whole["f_m"])
+
+
+def test_what_a_law_reads_is_seen_through_several_stages() -> None:
+    law = type(around("guard | deadband", PFRA()))
+    assert reads(law.master) == reads(PFRA.master) | {"v", "dt"}
+    assert reads(law.master_sums) == reads(PFRA.master_sums) | {"f_held", "dx"}
+
+
+def test_a_stage_whose_record_has_a_name_of_at_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Force(NamedTuple):
+        f: float
+
+    monkeypatch.setattr(Softer, "begun", Force(0.0))
+    with pytest.raises(Refused, match="the stage softer has a record with the field f, a name of At"):
+        compose(Softer(), Wave(b=1.0))
 
 
 def test_it_runs_in_every_engine_to_the_bit_and_rows_that_differ_in_numbers_share_a_kernel() -> None:
