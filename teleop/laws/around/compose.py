@@ -104,6 +104,11 @@ def _sums(self: Any, s: Any, at: At, rx: Any) -> Any:
     return FlatSums(*(law_sums(self, LawState(*s[:n]), law_at, LawHeard(*rx[:m]))[:] + share(knobs, stage_s, at)[:]))
 
 
+def _stage_sums(self: Any, s: Any, at: At, _rx: Any) -> Any:  # where the law sums nothing
+    knobs = StageKnobs(*self[low:high])
+    return FlatSums(*share(knobs, before(knobs, StageState(*s[n:]), at)[1], at)[:])
+
+
 def _end(self: Any, s: Any, at: At, rx: Any, over: Any) -> Any:
     knobs = StageKnobs(*self[low:high])
     law_at, stage_s = before(knobs, StageState(*s[n:]), at)
@@ -158,7 +163,7 @@ def _build_class(stage: Any, law: Any) -> Any:
         **{each: thing for each, thing in vars(kind_of_law).items() if not each.startswith("__")},
         "__module__": key, "__doc__": f"{first}, around the law {name_of_law(kind_of_law)}.", "__post_init__": _settle,
         "__reduce__": lambda self: (compose, (stage_of(self), inner_of(self))),
-        "__getitem__": lambda self, part: tuple(vars(self).values())[part],  # where it is compiled it is a tuple
+        "__getitem__": lambda self, part: self._numbers[part],  # where it is compiled it is a tuple
         "inner": inner_of, "inner_law": kind_of_law, "stage": kind_of_stage, "known_as": title,
         "claims": stage.claims_of(getattr(law, "claims", {})), "shows": (*getattr(law, "shows", ()), *stage.shows),
         **{offer: function for offer, function in _OFFERS.items()
@@ -195,7 +200,7 @@ def _methods(stage: Any, law: Any, name: str, module: ModuleType) -> dict[str, A
         if words["law_sums"] is nothing:
             words["law_end"] = bind(_law_alone, f"{name}.{e} law", **words)
         words["_end"] = bind(_end, f"{name}.{e} end", **words)
-        made = {"_start": _start, "": _end, "_sums": _sums}
+        made = {"_start": _start, "": _end, "_sums": _stage_sums if words["law_sums"] is nothing else _sums}
         if words["law_sums"] is words["share"] is nothing:
             made = {"_start": _start, "": _end_alone}
         if work[e].stored or hasattr(law, f"{e}_stored"):
@@ -238,6 +243,7 @@ def _settle(law: Any) -> None:
     """Refuse numbers that the law or the stage would refuse by themselves, by the names that they have here."""
     check_knobs(law)
     check_contract(inner_of(law))
+    object.__setattr__(law, "_numbers", tuple([getattr(law, each.name) for each in fields(law)]))
 
 
 def _facts(law: Any, facts: Any) -> Any:
