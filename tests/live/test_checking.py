@@ -20,7 +20,7 @@ from slave.robot import SimulatedSlave
 from teleop import DeviceError, Reading, Refused, check_device, load_scene
 from teleop.__main__ import main
 from teleop.live.devices.call_watch import BLOCKED_S
-from teleop.live.devices.judging import DeviceFault, Mistake
+from teleop.live.devices.judging import DeviceFault, Mistake, PushedMotion, check_velocity
 from teleop.scene.library import ROOT
 from tests.live.test_own_device import Standing
 
@@ -442,6 +442,20 @@ def test_a_right_device_was_accused_of_its_noise_its_steps_or_its_rate(make: Any
         simulated = not is_machine
 
     assert check_device(Device, ONE, ticks=100, push=True).moved[0] > 0.0
+
+
+def test_a_right_device_was_accused_where_the_machine_was_busy_for_20_ticks() -> None:
+    """Its velocity before and behind them was none of those with which it had moved meanwhile."""
+    def motion(v: float, jump: float = 0.0) -> PushedMotion:
+        pushed = PushedMotion("x", "m")
+        for k in (*range(20), *range(40, 60)):
+            pushed.add(1e-3 * k, 1e-3 * k + jump * (k >= 40), v, None, 0.0, None)
+        return pushed
+
+    check_velocity(motion(1.0), 0.0)
+    check_velocity(motion(1.0, jump=0.2), 0.0)
+    with pytest.raises(DeviceFault, match="v and x differ in size"):
+        check_velocity(motion(0.3, jump=0.2), 0.0)
 
 
 def test_readings_that_fail_while_it_is_unplugged_are_counted() -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from itertools import pairwise
 from math import sqrt
+from statistics import median
 
 from teleop.errors import Refused
 from teleop.scene.axes import FORCE_UNIT
@@ -21,6 +22,7 @@ LIGHTEST = 10.0  # times as far a push would have to reach that a machine has cu
 ALIKE = 2.0  # the integral of v and the way of x may differ by this factor: v may be filtered
 IN_STEP = 0.9  # correlation of the two above which they tell of one motion
 LATEST = 2  # ticks by which a motor's force that is told as a sensed one may be late
+GAP = 4.0  # times the usual time between two readings, above which they are far apart
 STILL = 1e-5  # of the way of x: an integral of v that is smaller is none
 REPEATED = 1.5  # times as far with each hold repeated: a force that adds up comes twice as far, another as far
 COASTS = 4.5  # times as far as it was pushed: in as long again a free mass comes 3 times as far, a growing force 7
@@ -107,14 +109,18 @@ def check_deadline(deadline: float | None) -> None:
 
 
 def check_velocity(motion: PushedMotion, least: float) -> None:
-    """Raise `DeviceFault` if the integral of v is not the way of x. Ways of up to `least` (m or rad) are not judged."""
-    way, integral, along = motion.x, 0.0, [0.0]
-    for (t0, v0), (t1, v1) in pairwise(zip(motion.t, motion.v, strict=True)):
-        integral += 0.5 * (v0 + v1) * (t1 - t0)
-        along.append(integral)
-    if len(way) < 3 or (_spread(way) <= least and _spread(along) <= least):
+    """Raise `DeviceFault` if the integral of v is not the way of x. Ways of up to `least` (m or rad) are not judged.
+
+    Nothing is judged by what happened between two readings that are far apart, as on a busy machine: v was another.
+    """
+    times = [t1 - t0 for t0, t1 in pairwise(motion.t)]
+    longest, ways, along = GAP * median(times or [0.0]), [0.0], [0.0]
+    for time, (x0, x1), (v0, v1) in zip(times, pairwise(motion.x), pairwise(motion.v), strict=True):
+        if time <= longest:
+            ways.append(ways[-1] + (x1 - x0))
+            along.append(along[-1] + 0.5 * (v0 + v1) * time)
+    if len(ways) < 3 or (_spread(ways) <= least and _spread(along) <= least):
         return
-    ways = [x - way[0] for x in way]
     xx, ii = sum(x * x for x in ways), sum(i * i for i in along)
     xi = sum(x * i for x, i in zip(ways, along, strict=True))
     compared = (f"along {motion.name}: it integrates to {_greatest(along):.3g} {motion.unit}, while x moved by "
