@@ -122,10 +122,14 @@ def knob_names(parsed_args: Namespace, **_: Any) -> Words:
 
 
 def files(prefix: str, **_: Any) -> Words:
-    """Completer of FILE: files and folders."""
-    from argcomplete.completers import FilesCompleter
-
-    return dict.fromkeys(FilesCompleter()(prefix), "")
+    """Completer of FILE: files and folders, hidden ones by their dot."""
+    name = prefix.rpartition("/")[2]
+    typed = prefix.removesuffix(name)  # argcomplete's own completer would start a bash, which not every machine has
+    with suppress(OSError, RuntimeError):  # no such folder, or no such user
+        entries = sorted(Path(typed or ".").expanduser().iterdir())
+        return {f"{typed}{each.name}{'/' * each.is_dir()}": "" for each in entries
+                if each.name.startswith(name) and (name or not each.name.startswith("."))}
+    return {}
 
 
 def scenes(prefix: str, **_: Any) -> Words:
@@ -135,11 +139,9 @@ def scenes(prefix: str, **_: Any) -> Words:
 
 def runs(prefix: str, **_: Any) -> Words:
     """Completer of a folder: those in `runs`, and others where none of these fits."""
-    from argcomplete.completers import DirectoriesCompleter
-
     known = [str(each) for each in sorted(Path("runs").glob("*")) if each.is_dir()]
     fitting = [each for each in known if each.startswith(prefix)]
-    return dict.fromkeys(fitting or DirectoriesCompleter()(prefix), "")
+    return dict.fromkeys(fitting or [each for each in files(prefix) if each.endswith("/")], "")
 
 
 def _names_of(kind: str) -> Callable[[], Words]:

@@ -126,6 +126,21 @@ def test_what_is_offered(complete: Callable[[str], list[str]], tmp_path: Path) -
     assert {"metrics", "hard_wall", "wave", "bernoulli"} <= {*complete("list ")}
 
 
+def test_a_path_was_not_completed_on_a_machine_without_bash(
+    complete: Callable[[str], list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ended with "the system refused: No such file or directory: 'bash'"."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    (tmp_path / "mine" / "inner").mkdir(parents=True)
+    (tmp_path / "mine" / "scene.py").write_text("")
+    (tmp_path / "mine" / ".hidden").write_text("")
+    assert complete("run mi") == ["mine/"]
+    assert complete("run mine/") == ["mine/inner/", "mine/scene.py"]
+    assert complete("run mine/.h") == ["mine/.hidden"]
+    assert complete("report mine/") == ["mine/inner/"]
+    assert complete("run nowhere/") == []
+
+
 def test_another_shell_is_refused_with_those_there_are(typed: Callable[..., Any]) -> None:
     typed("completion", "tcsh").assert_refused("there is no shell 'tcsh'")
 
