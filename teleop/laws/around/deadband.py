@@ -138,4 +138,4 @@ def fields_held(deadband: DeadbandWrapper, s: Message, at: At, is_sent: float, t
 def send(deadband: DeadbandWrapper, s: Any, at: At, _rx: tuple[()], _over: tuple[()], f: float, tx: Message) -> Any:
     """The message, or the last one in its place."""
     is_sent, tx, held = rest(deadband, s[2:], at, 1.0 - s.begun, tx)
-    return f, tx, (), Record(*((1.0, s.sent + is_sent) + held))  # noqa: RUF005
+    return f, tx, (), Record(*((1.0, s.sent + is_sent) + held))  # noqa: RUF005 - as above
