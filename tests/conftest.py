@@ -1,6 +1,7 @@
 """What is common to all tests: which run when, side by side with what, and how hypothesis draws its examples.
 
-The long ones run only when they are asked for: `pytest -m soak`, `pytest -m fuzz`. So do style, types and import rules,
+The long ones run only when they are asked for: `pytest -m soak`, `pytest -m fuzz`; and `pytest -m full`, which repeats
+for every law, engine and scene what the suite shows with one or two of them. So do style, types and import rules,
 which are a job of their own: `pytest -m house`, or by the name of their file. The rest goes file by file to as
 many workers as `-n` says, and whatever starts processes and looks at the clock to one of them, one after the other, so
 that no two of these wait for each other. The pages before stand-ins of the ends, and the browsers before stand-ins of
@@ -23,7 +24,8 @@ from xdist.scheduler import LoadScopeScheduling
 
 from tests.programs import uses_programs
 
-ASKED_FOR = {"soak": "takes minutes", "fuzz": "takes minutes", "house": "is a job of its own"}
+ASKED_FOR = {"soak": "takes minutes", "fuzz": "takes minutes", "house": "is a job of its own",
+             "full": "is held by one law here, by every law there"}
 TIMED = (
     "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/",
 )
