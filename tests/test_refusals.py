@@ -85,7 +85,8 @@ def test_a_wrong_command_is_refused_in_one_sentence_and_leaves_nothing(
 @pytest.mark.parametrize("module", REQUESTS["python"])
 @pytest.mark.usefixtures("folder")
 def test_a_wrong_value_is_refused_in_one_sentence(module: str) -> None:
-    names = {"np": np, "inf": inf, "nan": nan, **vars(teleop), **vars(importlib.import_module(module))}
+    exports = {name: getattr(teleop, name) for name in teleop.__all__}
+    names = {"np": np, "inf": inf, "nan": nan, "Path": Path, **exports, **vars(importlib.import_module(module))}
 
     def ask(request: str) -> str:
         try:
