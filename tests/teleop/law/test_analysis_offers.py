@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 
-from teleop import At, Coupling, Refused, Scene, VirtualCoupling, load_scene
+from teleop import At, Coupling, PDamped, Refused, Scene, VirtualCoupling, load_scene
 from teleop.analysis.models.one_port_loop import controller
 from teleop.analysis.passivity.one_port import one_port
 from teleop.analysis.passivity.report import ask
@@ -20,7 +20,6 @@ from teleop.analysis.zwidth.assess import levers
 from teleop.analysis.zwidth.impedance import curves
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.law.analysis_offers import coupling_of, described, instead, linear_law
-from teleop.laws.p_d import PDamped
 from tests.teleop.conftest import Answer
 
 Typed = Callable[..., Answer]

@@ -11,13 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from channel.delay import Delay as LinkDelay
+from teleop import MassDamper, PDDamped, Scene
 from teleop.analysis.passivity.two_port import sampled_two_port
 from teleop.law import injection
 from teleop.law.injection import least_damping, strongest
 from teleop.law.offers import AgeRange, Facts
-from teleop.laws.pd_d import PDDamped
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
 
 CONSTANT = Facts(dt=1e-3, axes=1, mass_m=5.0, damping_m=0.0, mass_s=5.0, damping_s=0.0, fwd=AgeRange(0.05, 0.05),
                  bwd=AgeRange(0.05, 0.05), lossy=False, playout="zero", held=1e-3)

@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from teleop import load_scene, run
-from teleop.errors import Refused
+from teleop import Refused, load_scene, run
 from teleop.law import BUILT_IN, At, find_law, known_laws, law_name, messages, reads, start_at
 from teleop.laws import direct, pfra, wave
 
@@ -22,13 +21,6 @@ from teleop.laws import direct, pfra, wave
 def test_a_law_is_found_by_its_name_and_knows_it(name: str, kind: type) -> None:
     assert find_law(name) is kind
     assert law_name(kind()) == name
-
-
-def test_an_unknown_law_is_answered_with_the_nearest() -> None:
-    with pytest.raises(Refused, match=r"there is no law 'wavee'; did you mean wave"):
-        find_law("wavee")
-    with pytest.raises(Refused, match=f"there are: {', '.join(sorted(BUILT_IN))}"):
-        find_law("zzzz")
 
 
 def plugin(name: str, value: str) -> Any:

@@ -7,19 +7,15 @@ from typing import Any, ClassVar, NamedTuple
 
 import pytest
 
-from channel import Bernoulli, Delay
-from channel.left_out import LeftOut
-from teleop import At, Fixed, Hold, Integral, Refused, Scene, Wave, Zero, load_scene, run
+from channel import Bernoulli, Delay, LeftOut
+from teleop import At, Energy, Fixed, Hold, Integral, MassDamper, Refused, Scaling, Scene, Wave, Zero, load_scene, run
 from teleop.checks.trials import try_claims
 from teleop.knob import knobs_of_fields
 from teleop.law import find_law, known_laws
 from teleop.law.offers import AgeRange as Ages
 from teleop.law.offers import Facts, broken, seed_energy
-from teleop.physics.plant import MassDamper
-from teleop.scene.playout import Energy
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.notes import facts_of, fitted
-from teleop.stages.scaling import Scaling
 from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
 from teleop.sweeps.kernels.kernel import available, figures, plain_kernel
 from tests.teleop.sweeps.kernels.test_kernel import inputs

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from teleop.scene.loading import load_scene
-from teleop.simulation.virtual import run
+from teleop import load_scene, run
 
 
 def digits(text: str) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, inf, pi, sin
+from math import cos, pi, sin
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop import Refused, load_scene, run
+from teleop import load_scene, run
 from teleop.analysis.stability.assess import stability
 from teleop.law import At, start_at
 from teleop.laws.model_mediated import (
@@ -173,12 +173,3 @@ def test_the_analyses_take_the_model_as_it_is_assumed() -> None:
     here = start_at(0.01, 0.0, 0.0, 1e-3)
     assert held.master((), here._replace(v=0.5), held.master_start(here)[1])[0] == 700.0 * 0.01 + 2.0 * 0.5
     assert held.slave((), here, Forth(0.03, 0.2))[0] == LAW.slave(LAW.slave_start(here)[0], here, Forth(0.03, 0.2))[0]
-
-
-@pytest.mark.parametrize(("knob", "value"), [
-    ("K", -1.0), ("forget", 0.0), ("forget", 1.1), ("touch", -1.0), ("E_max", -1.0), ("k_0", inf),
-    ("B_m", float("nan")),
-])
-def test_knobs_out_of_range_are_refused(knob: str, value: float) -> None:
-    with pytest.raises(Refused, match=knob):
-        ModelMediated(**{knob: value})

@@ -9,13 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.errors import Refused
-from teleop.law import At
-from teleop.law.offers import seed_energy
+from teleop import At, facts_of, load_scene, run, seed_energy
 from teleop.laws.pspm import PSPM, Back, PSPMEnd, PSPMSums
-from teleop.scene.loading import load_scene
-from teleop.simulation.notes import facts_of
-from teleop.simulation.virtual import run
 from tests.teleop.laws.printed import assert_printed, printed, tracking_mm
 
 DT = 1e-3
@@ -122,9 +117,3 @@ def test_a_damper_that_takes_more_than_all_motion_in_a_tick_is_told_of() -> None
     facts = facts_of(load_scene("canonical", law=PSPM(B_m=250.0)))
     told, = PSPM(B_m=250.0).conditions(facts)
     assert "B <= m/T, T the longest tick, which B_m = 250 N s/m is not; --set law.B_m=100 is the most" in told
-
-
-@pytest.mark.parametrize(("knob", "value"), [("K", 0.0), ("E_0", -0.1), ("B_m", -1.0), ("E_max", float("nan"))])
-def test_knobs_out_of_range_are_refused(knob: str, value: float) -> None:
-    with pytest.raises(Refused, match=knob):
-        PSPM(**{knob: value})

@@ -10,17 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from channel.delay import Delay
-from channel.gilbert_elliott import GilbertElliott
+from channel import Delay, GilbertElliott
+from teleop import At, Watchdog, facts_of, load_scene, run, seed_energy
 from teleop.checks.trials import capped_scene
-from teleop.errors import Refused
-from teleop.law import At
-from teleop.law.offers import seed_energy
 from teleop.laws.tdpa import PAYS, TDPA, Back, Forth, TDPAMaster, TDPAMasterSums, TDPASlave, TDPASlaveSums
-from teleop.scene.loading import load_scene
-from teleop.simulation.notes import facts_of
-from teleop.simulation.virtual import run
-from teleop.stages.watchdog import Watchdog
 from tests.teleop.laws.printed import assert_printed, printed, tracking_mm
 
 DT = 1e-3
@@ -255,9 +248,3 @@ def test_a_slave_that_owes_takes_energy_whatever_it_is_moved_by(b: float) -> Non
 
 def test_the_seed_is_the_slaves_and_what_the_master_may_owe() -> None:
     assert seed_energy(TDPA(E0=0.03, debt=1e-4), axes=3) == pytest.approx(0.0301)
-
-
-@pytest.mark.parametrize(("knob", "value"), [("B", 0.0), ("E0", -0.1), ("v_min", 0.0), ("store", float("nan"))])
-def test_knobs_out_of_range_are_refused(knob: str, value: float) -> None:
-    with pytest.raises(Refused, match=knob):
-        TDPA(**{knob: value})

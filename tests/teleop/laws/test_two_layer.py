@@ -11,16 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from channel.bernoulli import Bernoulli
-from channel.delay import Delay
-from channel.uniform import UniformJitter
-from teleop.errors import Refused
+from channel import Bernoulli, Delay, UniformJitter
+from teleop import facts_of, load_scene, run, seed_energy
 from teleop.law import At, start_at
-from teleop.law.offers import seed_energy
 from teleop.laws.two_layer import Back, Forth, Tank, TwoLayer, TwoLayerSums
-from teleop.scene.loading import load_scene
-from teleop.simulation.notes import facts_of
-from teleop.simulation.virtual import run
 from tests.teleop.laws.printed import assert_printed, printed, tracking_mm
 
 DT = 1e-3
@@ -138,9 +132,3 @@ def test_a_share_that_suits_the_link_falls_with_its_delay() -> None:
         assert suits.conditions(facts) == ()
     told, = TwoLayer().conditions(facts)
     assert "beta <= dt/(T1 + T2), which beta = 0.01 is not; --set law.beta=0.0025 is the most" in told
-
-
-@pytest.mark.parametrize(("knob", "value"), [("beta", 1.1), ("beta", -0.1), ("K", -1.0), ("H_max", float("nan"))])
-def test_knobs_out_of_range_are_refused(knob: str, value: float) -> None:
-    with pytest.raises(Refused, match=knob):
-        TwoLayer(**{knob: value})

@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.errors import Refused
+from teleop import VirtualWall
 from teleop.law import At, find_law, reads, start_at
-from teleop.laws.virtual_wall import VirtualWall
 
 metres = st.floats(-1.0, 1.0)
 speeds = st.floats(-10.0, 10.0)
@@ -53,9 +52,3 @@ def test_it_has_no_memory_and_reads_position_and_velocity_alone() -> None:
     assert VirtualWall().start(start_at(0.2, 0.0, 0.0, 1e-3)) == ()
     assert reads(VirtualWall().force) == {"x", "v"}
     assert find_law("virtual_wall")() == VirtualWall()
-
-
-@pytest.mark.parametrize(("knob", "value"), [("K", -1.0), ("B", -0.1), ("at", math.inf), ("K", math.nan), ("B", True)])
-def test_knobs_out_of_range_are_refused(knob: str, value: float) -> None:
-    with pytest.raises(Refused, match=knob):
-        VirtualWall(**{knob: value})

@@ -11,19 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from channel.bernoulli import Bernoulli
-from channel.delay import Delay
-from channel.duplicate import Duplicate
-from channel.uniform import UniformJitter
+from channel import Bernoulli, Delay, Duplicate, UniformJitter
 from master.hand import Grip, Sine
 from slave.wall import Wall
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
+from teleop import Fixed, Hold, MassDamper, Playout, Scene, Wave, Zero, run
 from teleop.scene.parts import LinkLike
-from teleop.scene.playout import Fixed, Hold, Playout, Zero
-from teleop.scene.scene import Scene
 from teleop.simulation.plan import plan
-from teleop.simulation.virtual import run
 
 MS = 1_000_000
 NO_REPEATS = Zero()

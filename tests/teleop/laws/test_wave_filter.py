@@ -11,11 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from channel.delay import Delay
-from teleop import At, Scene, load_scene, run
+from teleop import At, MassDamper, Scene, Wave, load_scene, run
 from teleop.analysis.passivity.two_port import continuous_two_port
-from teleop.laws.wave import Wave
 from teleop.laws.wave_filter import Back, Forth, WaveFilter, WaveFilterSlave, low_pass
-from teleop.physics.plant import MassDamper
 
 NAN = float("nan")
 

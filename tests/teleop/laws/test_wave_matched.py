@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from channel.delay import Delay
-from teleop import At, Scene, Watchdog, load_scene, run
+from teleop import At, MassDamper, Scene, Watchdog, load_scene, run
 from teleop.analysis.passivity.two_port import continuous_two_port
 from teleop.laws.wave_matched import Back, Forth, WaveMatched, WaveMatchedEnd
-from teleop.physics.plant import MassDamper
 
 NAN = float("nan")
 

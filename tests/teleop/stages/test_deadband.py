@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from channel import Bernoulli, Delay, UniformJitter
-from teleop import Deadband, Refused, Scene, Watchdog, load_scene, run, sweep
-from teleop.scene.scene import both_ends
+from teleop import Deadband, Refused, Scene, load_scene, run, sweep
 from teleop.simulation.plan import link_plans
 
 
@@ -145,31 +144,6 @@ def test_rows_of_a_link_that_varies_are_those_of_single_runs() -> None:
                   fixed={"law": "direct", "link": "delay(0.01) | uniform(0.01)", "duration": 0.3})
     alone = run(load_scene("canonical", law="direct", link="delay(0.01) | uniform(0.01)", duration=0.3, deadband=0.1))
     assert [table["x_err_rms"][0], table["fresh_fwd"][0]] == [alone.metrics["x_err_rms"], alone.metrics["fresh_fwd"]]
-
-
-@pytest.mark.parametrize(("parts", "said"), [
-    ({"watchdog": Watchdog(timeout=0.005)}, "the watchdog lets go after 0.005 s"),
-    ({"deadband": Deadband(keep_alive=None), "watchdog": Watchdog()}, "sends never without a change"),
-    ({"deadband": 0.1}, "deadband must be something with k, floor, keep_alive"),
-])
-def test_a_deadband_that_looks_like_a_peer_that_is_gone_is_refused(parts: dict[str, Any], said: str) -> None:
-    with pytest.raises(Refused, match=said):
-        scene(**parts)
-
-
-def test_waves_that_are_played_as_zero_in_gaps_are_refused() -> None:
-    with pytest.raises(Refused, match="a pulse for each message; write playout=integral"):
-        load_scene("canonical", deadband=0.1, playout="zero")
-
-
-def test_a_live_end_is_never_silent_for_long() -> None:
-    with pytest.raises(Refused, match=r"sends every 0\.1 s at least"):
-        both_ends(scene(deadband=Deadband(keep_alive=None)))
-
-
-def test_a_scene_without_a_slave_has_no_messages() -> None:
-    with pytest.raises(Refused, match="has no deadband"):
-        load_scene("virtual_wall", deadband=0.1)
 
 
 def test_conditions_on_a_delay_count_the_silence_before_it_is_known() -> None:

@@ -15,11 +15,9 @@ import numpy as np
 import pytest
 
 from channel import LeftOut, LeftOutTicks
-from teleop import At, BestFit, Cap, Device, EndFit, Levant, LowPass, Scene, Watchdog, load_scene, run
-from teleop.laws.wave import Wave
+from teleop import At, BestFit, Cap, Device, Encoder, EndFit, Levant, LowPass, Scene, Watchdog, Wave, load_scene, run
 from teleop.simulation import tick as ticks_of
 from teleop.simulation.source import lines
-from teleop.stages.encoder import Encoder
 from teleop.stages.end import End, Run
 from teleop.stages.velocity.backward_difference import BackwardDifference
 

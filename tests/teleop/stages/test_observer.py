@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from teleop.scene.loading import load_scene
+from teleop import load_scene
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import columns, numbers_of
 from teleop.stages.observer import coefficients, observe

@@ -8,26 +8,19 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 
-from channel.left_out import LeftOut
-from channel.link import parse_link
+from channel import LeftOut, parse_link
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop import At, Operator, Reading, Scene, load_scene, run
+from teleop import At, Cap, Device, MassDamper, Operator, Reading, Refused, Scene, Watchdog, Wave, load_scene, run
 from teleop.analysis.models.linear import linear_scene
-from teleop.errors import Refused
 from teleop.laws.four_channel import FourChannel
 from teleop.laws.pp import PositionPosition
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
 from teleop.protocol.guard import Event, ForceGuard
 from teleop.protocol.switches import MOST, SwitchEvents
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import EndRecord, end_columns
-from teleop.stages.device import Device
-from teleop.stages.force_cap import Cap
 from teleop.stages.operator import scheduled
-from teleop.stages.watchdog import Watchdog
 from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
 from teleop.sweeps.kernels.kernel import Kernel, figures, plain_kernel
 from tests.teleop.protocol.test_endpoint import MS, START, met
@@ -172,20 +165,6 @@ def test_what_is_open_at_the_start_begins_without_force() -> None:
     assert trace["f_m"][200:].any()
 
 
-@pytest.mark.parametrize("wrong", [
-    {"clutch": (1.0, 2.0)}, {"clutch": ((2.0, 1.0),)}, {"absent": ((-1.0, 1.0),)}, {"ramp": -0.1},
-    {"ramp": float("nan")}, {"needs": ("dead man",)}, {"needs": "clutch"}, {"clutch": ((0.0, 1.0),) * 65},
-])
-def test_a_schedule_that_cannot_be_is_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(Refused):
-        Operator(**wrong)
-
-
-def test_a_scene_without_a_slave_has_no_clutch() -> None:
-    with pytest.raises(Refused, match="operator"):
-        replace(load_scene("virtual_wall"), operator=Operator())
-
-
 def test_the_eigenvalues_are_those_with_the_clutch_closed() -> None:
     of = load_scene("soft_tissue", law="direct", delay=0.005)
     assert repr(linear_scene(replace(of, operator=OPENED))) == repr(linear_scene(of))
@@ -212,15 +191,6 @@ def test_where_the_slave_is_held_back_it_stays_open() -> None:
     assert not run(scene(FAR, PositionPosition(), start_s=0.05, slave=held)).trace["f_m"].any()
     freely = replace(FAR, closes_within=None)
     assert run(scene(freely, PositionPosition(), start_s=0.05, slave=held)).trace["f_m"].any()
-
-
-@pytest.mark.parametrize(("within", "law", "why"), [
-    (0.01, Wave(), "law wave does not tell the master where the slave is"), (0.0, Metered(), "above 0"),
-    ((0.1, 0.1), PositionPosition(), "2 numbers, the scene has 1 axis"),
-])
-def test_how_far_they_may_be_is_refused_where_nothing_tells(within: Any, law: Any, why: str) -> None:
-    with pytest.raises(Refused, match=why):
-        scene(Operator(closes_within=within), law)
 
 
 # Engines

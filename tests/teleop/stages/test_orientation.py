@@ -11,21 +11,11 @@ import pytest
 from channel.link import parse_link
 from master.hand import Grip, Reach
 from slave.tissue import Tissue
-from teleop.laws.four_channel import FourChannel
-from teleop.laws.p_d import PDamped
+from teleop import PSPM, TDPA, FourChannel, MassDamper, PDamped, Scene, TwoLayer, Wave, WavePosition, fitted, run
 from teleop.laws.pp import PositionPosition
-from teleop.laws.pspm import PSPM
-from teleop.laws.tdpa import TDPA
-from teleop.laws.two_layer import TwoLayer
-from teleop.laws.wave import Wave
-from teleop.laws.wave_position import WavePosition
-from teleop.physics.plant import MassDamper
 from teleop.physics.rotation import exp, log, product
-from teleop.scene.scene import Scene
-from teleop.simulation.notes import fitted
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
-from teleop.simulation.virtual import run
 from teleop.sweeps.engine import kernel_of
 from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, figures, path_of, tree_of
 from tests.teleop.stages.tumbling import apart, counted, orientations, tumbling

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.__main__ import main
-from teleop.errors import Refused
 from teleop.stages.passivity_controller import PassivityController, damp
 
 
@@ -38,12 +37,6 @@ class TestTheController:
         assert isnan(damp(c, nan, 1.0))
         assert damp(c, -1e300, 1e-200) == pytest.approx(5e-200)
         assert damp(c, -inf, 1.0) == 5.0
-
-    @pytest.mark.parametrize("wrong", [{"cap": -1.0}, {"cap": 1.0, "v_min": -1.0}, {"cap": nan}])
-    def test_that_cannot_be_is_refused(self, wrong: dict[str, float]) -> None:
-        with pytest.raises(Refused):
-            PassivityController(**wrong)
-
 
 class TestAWallAFingerAnEncoder:
     """A lab's five runs (m = 0.04 kg, b = 0.8 N s/m, 1024 lines on 10 mm, 40 sub-steps a tick): to its digits."""

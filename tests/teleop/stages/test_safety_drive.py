@@ -13,19 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slave.wall import Wall
-from teleop import Scene, load_scene, run
-from teleop.law import At
+from teleop import At, Device, Encoder, LowPass, MassDamper, Scene, VirtualWall, Watchdog, load_scene, run
 from teleop.laws.direct import Back, Direct, Forth
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.physics.plant import MassDamper
-from teleop.stages.device import Device
-from teleop.stages.encoder import Encoder
 from teleop.stages.energy_budget import BudgetLimits, limit_power, refill, spend
 from teleop.stages.force_cap import Cap, cap
 from teleop.stages.velocity.backward_difference import BackwardDifference
-from teleop.stages.velocity.low_pass import LowPass
 from teleop.stages.velocity_cap import SpeedLimits, limit_speed
-from teleop.stages.watchdog import Watchdog
 
 DT = 1e-3
 forces = st.floats(-1e3, 1e3)

@@ -11,18 +11,10 @@ import pytest
 from channel.delay import Delay
 from master.hand import Grip, Reach
 from slave.tissue import Tissue
-from teleop import find_law, load_scene, seed_energy
-from teleop.errors import Refused
-from teleop.laws.direct import Direct
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
+from teleop import Direct, MassDamper, Refused, Scaling, Scene, Wave, find_law, load_scene, run, seed_energy
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
-from teleop.simulation.virtual import run
-from teleop.stages.scaling import Scaling
 from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, available, figures, plain_kernel, tree_of
 
 SMALL = Scaling(scale_x=0.2, scale_f=0.5)  # a slave a fifth of the size, with half of the force
@@ -98,17 +90,6 @@ def test_tracking_compares_the_ends_in_the_masters_units_in_runs_and_in_kernels_
     assert status == "ok"
     assert told == {name: result.metrics[name] for name in told}
     assert told["x_err_max"] < 0.05
-
-
-def test_a_scene_without_a_slave_has_nothing_to_scale() -> None:
-    with pytest.raises(Refused, match="scaling"):
-        scene(slave=None, environment=None, law=VirtualWall(K=500.0))
-
-
-@pytest.mark.parametrize("number", [0.0, -1.0, float("nan")])
-def test_a_scale_is_above_zero(number: float) -> None:
-    with pytest.raises(Refused, match="scale_x"):
-        Scaling(scale_x=number)
 
 
 # Axis by axis

@@ -9,10 +9,8 @@ import numpy as np
 
 from channel.delay import Delay
 from master.hand import Grip
-from teleop.laws.pp import PositionPosition
-from teleop.physics.plant import MassDamper
+from teleop import MassDamper, PositionPosition, Scene
 from teleop.physics.rotation import product, turned
-from teleop.scene.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop import check_law, load_scene, run
-from teleop.law import At
+from teleop import PFRA, At, Direct, around, check_law, load_scene, run
 from teleop.laws.around import compose
 from teleop.laws.around.deadband import FIELDS, DeadbandWrapper, HeldSample, HeldWave, asks, hold, hold_wave, wave_asks
-from teleop.laws.around.names import around
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Back, Wave
 
 LAWS = [Wave(), Direct(), PFRA(alpha=0.3)]

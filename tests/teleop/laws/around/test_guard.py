@@ -10,16 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop import check_law, load_scene, run
-from teleop.errors import Refused
-from teleop.law import At
+from teleop import PFRA, At, Direct, Refused, Wave, around, check_law, facts_of, load_scene, run
 from teleop.laws.around import compose, guard
 from teleop.laws.around.guard import Account, FromSlave, GuardWrapper, Work, let_through, master
-from teleop.laws.around.names import around
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.simulation.notes import facts_of
 from teleop.sweeps.kernels.functions import unlike_python, without_lanes
 
 GUARD = GuardWrapper(k=5000.0, alpha=50.0, v_min=1e-3, drag=4.0)

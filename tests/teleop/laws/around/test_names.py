@@ -15,14 +15,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 
-from teleop import Refused, around, load_scene, run, sweep
+from teleop import PFRA, Direct, Refused, Wave, around, load_scene, run, sweep
 from teleop.law import law_name, reads
 from teleop.laws.around.compose import StageEnd, compose
 from teleop.laws.around.names import STAGES
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.laws.wave import Wave
 from teleop.protocol.manifest import manifest_difference, manifest_of
 from teleop.scene.library import ROOT
 from teleop.scene.loading import asks_for_trust
@@ -53,34 +49,6 @@ def test_numbers_of_both_are_knobs_beside_each_other() -> None:
 def test_the_same_names_have_the_same_class_whatever_their_numbers() -> None:
     assert type(around("deadband(0.1)", Wave())) is type(around("deadband(0.2)", Wave(b=5.0)))
     assert law_name(around("deadband(0.1)", Wave())) == "deadband | wave"
-
-
-@pytest.mark.parametrize(("text", "said"), [
-    ("deadbnd(0.1) | wave", "did you mean deadband?"),
-    ("deadband(0.1 | wave", r"its \( is never closed"),
-    ("deadband(0.1) |", "nothing stands behind its last |"),
-    ("| wave", "nothing stands in front of a |"),
-    ("deadband(2) | wave", "law.deadband_k must be at most 1, not 2; write for example law.deadband_k=1"),
-    ("deadband(0.1) | virtual_wall", "a law with two ends, and virtual_wall has one"),
-    ("deadband(a=1) | wave", r"deadband does not take a as an argument: write for example deadband\(0.1, floor=1e-3\)"),
-    ("deadband(0.1) | wave(b=-3)", "law.b must be above 0 N s/m, not -3"),
-    ("wave(3)", "wave takes at most 0 arguments without their names"),
-    ("wave(b=x)", "must be numbers"),
-    ("deadband | deadband | wave", "stands twice"),
-    ("wave | deadband(0.1)", "stands before a law"),
-    ("deadband(0.1)", "stands before a law"),
-    ("guard", "the stage guard stands before a law"),  # and not: there is no law guard
-])
-def test_a_text_that_cannot_be_meant_is_refused_with_what_to_type(text: str, said: str) -> None:
-    with pytest.raises(Refused, match=said):
-        load_scene("canonical" if "virtual" not in text else "virtual_wall", law=text)
-
-
-def test_around_takes_a_text_and_a_law() -> None:
-    with pytest.raises(Refused, match="around takes the stages as a text"):
-        around("", Wave())
-    with pytest.raises(Refused, match="has one"):
-        around("deadband", VirtualWall(K=500.0))
 
 
 def test_a_law_with_a_name_of_the_stage_is_told_so() -> None:

@@ -7,14 +7,8 @@ from typing import Any
 
 import pytest
 
-from teleop import At, Refused, check_law, facts_of, load_scene, run
+from teleop import PFRA, TDPA, At, Direct, PDamped, Refused, Wave, around, check_law, facts_of, load_scene, run
 from teleop.analysis.models.linear import linear_scene
-from teleop.laws.around.names import around
-from teleop.laws.direct import Direct
-from teleop.laws.p_d import PDamped
-from teleop.laws.pfra import PFRA
-from teleop.laws.tdpa import TDPA
-from teleop.laws.wave import Wave
 from teleop.sweeps.kernels.functions import unlike_python, without_lanes
 
 WAVES = {0.0: 3.9736, 0.05: 0.936037}  # N, pressed for ever by hard_wall: without a coupling, see test_touch

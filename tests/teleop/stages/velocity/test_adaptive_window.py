@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.stages.velocity.adaptive_window import BestFit, EndFit
-from teleop.stages.velocity.backward_difference import BackwardDifference
+from teleop import BackwardDifference, BestFit, EndFit
 from tests.teleop.stages.velocity.signals import T, driven, floored, ramp, rms, velocities
 
 STEP = 2.0**-17  # m: encoder counts times this are exact

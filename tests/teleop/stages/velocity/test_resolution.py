@@ -7,10 +7,7 @@ from typing import Any
 
 import pytest
 
-from teleop.stages.velocity.adaptive_window import BestFit, EndFit
-from teleop.stages.velocity.backward_difference import BackwardDifference
-from teleop.stages.velocity.levant import Levant
-from teleop.stages.velocity.low_pass import LowPass
+from teleop import BackwardDifference, BestFit, EndFit, Levant, LowPass
 from tests.teleop.stages.velocity.signals import floored, rms, sine, velocities
 
 STEPS = (1e-5, 2e-5, 3e-5, 4e-5, 5e-5, 6e-5)  # m
