@@ -99,8 +99,7 @@ def test_the_laws_that_are_spoilt_below_are_in_order() -> None:
 
 
 calls = count()
-helper = lambda at: at.x + at.v  # noqa: E731 - in a list of functions, which are not followed
-HELPERS = [helper]
+FUNCTIONS: list[Any] = [lambda at: at.x + at.v]  # in a list, where they are not followed
 seen: dict[At, int] = {}
 
 
@@ -126,7 +125,7 @@ SLIPS: list[tuple[dict[str, Any], str]] = [  # those that every scene finds are 
     ({"slave": lambda s, at, rx: (rx.x, F(at.f), S(math.inf))}, "for finite arguments"),
     ({"master": lambda s, at, rx: (float(next(calls)), X(at.x), s)}, TWICE),
     ({"master": lambda s, at, rx: (at[1], X(0.0), s)}, "reads v where it cannot be seen; write at.v in Spoilt.master"),
-    ({"master": lambda s, at, rx: (HELPERS[0](at), X(at.x), s)}, "reads v where it cannot be seen"),
+    ({"master": lambda s, at, rx: (FUNCTIONS[0](at), X(at.x), s)}, "reads v where it cannot be seen"),
     ({"master": lambda s, at, rx: (rx.force / at.x, X(at.x), s)}, "raised ZeroDivisionError.*max"),
     ({"master": lambda s, at, rx: (at.v / (at.dx + 1e-320), X(at.x), s)}, "for finite arguments"),
     ({"master": lambda s, at, rx: (at.v**2, X(at.x), s)}, r"raised OverflowError.*for x\*\*2"),

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from math import isnan, sqrt
+from math import isnan
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop import BackwardDifference, BestFit, EndFit
-from tests.teleop.stages.velocity.signals import T, driven, floored, ramp, rms, velocities
+from teleop import BestFit, EndFit
+from tests.teleop.stages.velocity.signals import T, driven, floored, ramp, velocities
 
 STEP = 2.0**-17  # m: encoder counts times this are exact
 KINDS = pytest.mark.parametrize("kind", [EndFit, BestFit])
@@ -55,29 +54,8 @@ def test_it_is_the_longest_line_that_passes_by_every_reading(
         assert found[k] * T / STEP == pytest.approx(float(slope), abs=1e-11)
 
 
-@KINDS
-@pytest.mark.parametrize("n", [2, 5, 15])
-def test_its_lines_are_those_of_numpy(kind: type, n: int) -> None:
-    """Noise so large that the window is always the longest."""
-    readings = [float(x) for x in np.random.default_rng(n).normal(size=n + 1)]
-    fitted = {EndFit: (readings[-1] - readings[0]) / n, BestFit: np.polyfit(np.arange(n + 1), readings, 1)[0]}
-    estimator = kind(noise=1e3, most=n)
-    c, s = estimator.coefficients(T), estimator.start(readings[0])
-    for x in readings[1:]:
-        v, s = estimator.step(c, s, x, T)
-    assert v * T == pytest.approx(fitted[kind], rel=1e-10)
-
-
-@KINDS
-@given(readings=counts)
-@settings(max_examples=50)
-def test_a_window_of_one_tick_is_the_backward_difference(kind: type, readings: list[int]) -> None:
-    xs = [1e-5 * y for y in readings]
-    assert velocities(kind(noise=1e-5, most=1), xs) == velocities(BackwardDifference(), xs)
-
-
 @given(v=st.floats(-2.0, 2.0), phase=st.floats(0.0, 0.999), most=st.integers(2, 30))
-@settings(max_examples=100)
+@settings(max_examples=40)
 def test_on_a_quantised_ramp_the_end_fit_keeps_its_longest_window(v: float, phase: float, most: int) -> None:
     """So it is off by less than one step over the whole window, however the encoder rounds."""
     found = velocities(EndFit(noise=STEP, most=most), floored(ramp(v, 3 * most), STEP, phase))
@@ -86,12 +64,9 @@ def test_on_a_quantised_ramp_the_end_fit_keeps_its_longest_window(v: float, phas
 
 
 @KINDS
-@given(
-    pushes=st.lists(st.tuples(st.floats(-20.0, 20.0), st.integers(1, 15)), min_size=1, max_size=5),
-    v=st.floats(-0.3, 0.3),
-    phase=st.floats(0.0, 0.999),
-)
-@settings(max_examples=60)
+@given(pushes=st.lists(st.tuples(st.floats(-20.0, 20.0), st.integers(1, 15)), min_size=1, max_size=5),
+       v=st.floats(-0.3, 0.3), phase=st.floats(0.0, 0.999))
+@settings(max_examples=30)
 def test_the_error_is_within_the_bound_of_the_window_that_was_chosen(
     kind: type, pushes: list[tuple[float, int]], v: float, phase: float
 ) -> None:
@@ -106,32 +81,6 @@ def test_the_error_is_within_the_bound_of_the_window_that_was_chosen(
         a = max(map(abs, accelerations[k - n : k]))
         miss = 0.0 if kind is EndFit else STEP
         assert abs(found[k] - vs[k]) <= (STEP + miss) / (n * T) + 0.5 * a * n * T + 1e-9
-
-
-@KINDS
-def test_the_window_shrinks_when_the_motion_changes_and_grows_again(kind: type) -> None:
-    """Slow, then suddenly fast: within two ticks it follows, which a window of fixed length cannot."""
-    slow, fast, most = 0.01, 0.5, 15
-    xs = ramp(slow, 40) + [slow * 39 * T + fast * (k + 1) * T for k in range(40)]
-    found = velocities(kind(noise=1e-5, most=most), xs)
-    assert found[20:40] == pytest.approx([slow] * 20)
-    assert found[41:] == pytest.approx([fast] * 39)
-    assert (xs[42] - xs[42 - most]) / (most * T) < 0.25 * fast  # what the whole window would have said
-    noisy = floored(xs, 1e-5, 0.5)
-    again = velocities(kind(noise=1e-5, most=most), noisy)[40 + most :]
-    assert max(abs(v - fast) for v in again) < 1.3 * 1e-5 / (most * T)
-
-
-@pytest.mark.parametrize(("kind", "expected"), [(EndFit, sqrt(1 / 6)), (BestFit, sqrt(15 / (16 * 17)))])
-def test_on_fast_ramps_the_readings_err_like_white_noise_and_least_squares_is_best(kind: type, expected: float) -> None:
-    """RMS times n T/step: errors even over one step, variance 1/12, make sqrt(1/6) and sqrt(n/((n+1)(n+2)))."""
-    step, most = 1e-5, 15
-    found, true = [], []
-    for j in range(100):
-        v = (1.0 + 0.0618 * j) * step / T  # one step a tick and more
-        found += velocities(kind(noise=step, most=most), floored(ramp(v, 60), step, (0.618 * j) % 1.0))[20:]
-        true += [v] * 40
-    assert rms(found, true) * most * T / step == pytest.approx(expected, rel=0.08)
 
 
 @KINDS

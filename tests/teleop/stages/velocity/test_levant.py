@@ -16,14 +16,9 @@ from tests.teleop.stages.velocity.signals import T, driven, ramp, velocities
 bounds = st.sampled_from([0.1, 1.0, 30.0])
 
 
-@given(
-    L=bounds,
-    z0=st.floats(-1.0, 1.0),
-    z1=st.floats(-1.0, 1.0),
-    off=st.floats(-1e-2, 1e-2) | st.floats(-2e-6, 2e-6),
-    span=st.sampled_from([1e-4, 1e-3, 5e-3]),
-)
-@settings(max_examples=300)
+@given(L=bounds, z0=st.floats(-1.0, 1.0), z1=st.floats(-1.0, 1.0), span=st.sampled_from([1e-4, 1e-3, 5e-3]),
+       off=st.floats(-1e-2, 1e-2) | st.floats(-2e-6, 2e-6))
+@settings(max_examples=100)
 def test_a_step_solves_the_implicit_equations(L: float, z0: float, z1: float, off: float, span: float) -> None:
     """Both right sides at the end of the step; the sign is one number, of [-1, 1] where sigma is zero."""
     x = z0 + span * z1 - off
@@ -60,22 +55,13 @@ def test_for_a_short_tick_it_is_the_differential_equation(L: float) -> None:
 
 
 @given(L=bounds, v=st.floats(0.01, 1.0))
-@settings(max_examples=30)
+@settings(max_examples=10)
 def test_it_comes_to_a_ramp_in_finite_time(L: float, v: float) -> None:
     """1.25 v/L, measured, and from there on the slope to rounding."""
     ticks = int(1.3 * v / L / T) + 5
     if ticks > 4000:
         L, ticks = 1.0, int(1.3 * v / T) + 5
     assert velocities(Levant(L=L), ramp(v, ticks + 50))[ticks:] == pytest.approx([v] * 50, abs=1e-11)
-
-
-def test_a_larger_bound_is_faster_and_a_ramp_is_reached_no_sooner_than_the_rate_allows() -> None:
-    v, before = 0.5, np.inf
-    for L in (0.5, 1.0, 2.0, 4.0):
-        off = np.abs(np.array(velocities(Levant(L=L), ramp(v, 3000))) - v)
-        needed = np.flatnonzero(off > 1e-9)[-1] * T
-        assert v / (LAMBDA1 * L) < needed < min(before, 1.3 * v / L)
-        before = needed
 
 
 @pytest.mark.parametrize("L", [0.4, 2.0])
@@ -91,7 +77,7 @@ def test_the_worst_constant_acceleration_takes_ten_times_v_over_L(L: float) -> N
 
 
 @given(L=bounds, shares=st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=100))
-@settings(max_examples=100)
+@settings(max_examples=40)
 def test_once_there_it_is_off_by_half_a_tick_of_acceleration_at_most(L: float, shares: list[float]) -> None:
     """From rest, which it knows: it slides from the first tick, and no acceleration within L ends that."""
     xs, vs = driven([share * L for share in shares])
@@ -99,12 +85,9 @@ def test_once_there_it_is_off_by_half_a_tick_of_acceleration_at_most(L: float, s
         assert abs(estimate - v) <= 0.5 * L * T + 1e-11
 
 
-@given(
-    L=bounds,
-    steps=st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), min_size=3, max_size=100),
-    share=st.floats(0.0, 0.024),
-)
-@settings(max_examples=100)
+@given(L=bounds, steps=st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), min_size=3, max_size=100),
+       share=st.floats(0.0, 0.024))
+@settings(max_examples=40)
 def test_a_noise_far_below_the_acceleration_of_a_tick_does_not_end_the_sliding(
     L: float, steps: list[tuple[float, float]], share: float
 ) -> None:
@@ -129,36 +112,21 @@ def errors(noise: str, eps: float, xs: np.ndarray, beat: np.ndarray) -> np.ndarr
     return eps * beat
 
 
-@pytest.mark.parametrize("ratio", [1.0, 10.0, 1e2, 1e3, 1e4])
-@pytest.mark.parametrize("noise", ["random", "two values", "encoder", "in step with the acceleration"])
-@pytest.mark.parametrize("rate", [0.3, 1.0, 2.0])
-def test_noise_costs_at_most_three_times_the_root_of_L_eps(noise: str, ratio: float, rate: float) -> None:
+def test_noise_costs_at_most_three_times_the_root_of_L_eps() -> None:
     """eps from L T^2 up over four decades: one constant for all, measured 2.6 at the lower end, 2.0 at the upper."""
     L = 1.0
-    eps = ratio * L * T * T
-    own = sqrt(L / eps)  # 1/s: how fast the differentiator is at this noise
-    times = np.arange(5000) * T
-    beat = np.sign(np.sin(rate * own * times))
-    accelerations = L * (beat if noise.startswith("in step") else np.sin(0.7 * np.arange(5000) * T * rate))
-    xs, vs = driven(accelerations.tolist())
-    readings = np.array(xs) + errors(noise, eps, np.array(xs), beat)
-    found = velocities(Levant(L=L), readings.tolist())
-    assert max(abs(a - b) for a, b in zip(found[2500:], vs[2500:], strict=True)) < 3.0 * sqrt(L * eps)
-
-
-def test_it_does_not_chatter_where_explicit_euler_does() -> None:
-    """On a ramp in explicit steps the estimate keeps swinging by about L T; here it stands still."""
-    L, v = 2.0, 0.05
-    z0 = z1 = 0.0
-    explicit = []
-    for x in ramp(v, 2000):
-        sigma = z0 - x
-        sign = float(np.sign(sigma))
-        z0, z1 = z0 + T * (z1 - LAMBDA0 * sqrt(L * abs(sigma)) * sign), z1 - T * LAMBDA1 * L * sign
-        explicit.append(z1)
-    implicit = velocities(Levant(L=L), ramp(v, 2000))
-    assert max(explicit[1500:]) - min(explicit[1500:]) > 0.9 * L * T
-    assert max(implicit[1500:]) - min(implicit[1500:]) < 1e-12
+    for ratio, rate in ((1.0, 1.0), (1.0, 2.0), (100.0, 0.3), (1e4, 1.0)):
+        eps = ratio * L * T * T
+        own = sqrt(L / eps)  # 1/s: how fast the differentiator is at this noise
+        times = np.arange(5000) * T
+        beat = np.sign(np.sin(rate * own * times))
+        for noise in ("random", "two values", "encoder", "in step with the acceleration"):
+            accelerations = L * (beat if noise.startswith("in step") else np.sin(0.7 * times * rate))
+            xs, vs = driven(accelerations.tolist())
+            readings = np.array(xs) + errors(noise, eps, np.array(xs), beat)
+            found = velocities(Levant(L=L), readings.tolist())
+            worst = max(abs(a - b) for a, b in zip(found[2500:], vs[2500:], strict=True))
+            assert worst < 3.0 * sqrt(L * eps), (noise, ratio, rate)
 
 
 def test_what_is_faster_than_L_is_followed_at_the_largest_rate() -> None:

@@ -1,9 +1,10 @@
-"""What every velocity estimator keeps: flat states, pure steps, no exception, the invariances of a derivative."""
+"""What every velocity estimator keeps: flat states, pure steps, invariances of a derivative; and what it resolves."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from math import inf, isfinite, nan
+from collections.abc import Callable
+from dataclasses import replace
+from math import floor, inf, isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -12,17 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop import BackwardDifference, BestFit, EndFit, Levant, LowPass
-from tests.teleop.stages.velocity.signals import T, floored, ramp, sine, velocities
+from tests.teleop.stages.velocity.signals import T, driven, floored, ramp, rms, sine, velocities
 
-ESTIMATORS = [
-    BackwardDifference(),
-    LowPass(cutoff=30.0),
-    EndFit(noise=1e-5),
-    EndFit(noise=1e-5, most=1),
-    BestFit(noise=1e-5),
-    BestFit(noise=1e-5, most=1),
-    Levant(L=1.0),
-]
+ESTIMATORS = [BackwardDifference(), LowPass(cutoff=30.0), EndFit(noise=1e-5), EndFit(noise=1e-5, most=1),
+              BestFit(noise=1e-5), BestFit(noise=1e-5, most=1), Levant(L=1.0)]
 every = pytest.mark.parametrize("estimator", ESTIMATORS, ids=repr)
 
 AWKWARD = (0.0, -0.0, 5e-324, -1e-300, 1e-9, -1e50, 1.7e308, -1.7e308)
@@ -62,53 +56,10 @@ def test_it_conforms(estimator: Any) -> None:
         conforms(estimator, dt)
 
 
-@dataclass(frozen=True)
-class Growing:
-    """Wrong: keeps all readings."""
-
-    def coefficients(self, dt: float) -> tuple[()]:
-        return ()
-
-    def start(self, x: float) -> tuple[float, ...]:
-        return (x,)
-
-    @staticmethod
-    def step(
-        c: tuple[()], s: tuple[float, ...], x: float, span: float  # noqa: ARG004
-    ) -> tuple[float, tuple[float, ...]]:
-        return (x - s[-1]) / max(span, 1e-300), (*s, x)
-
-
-class Dividing(Growing):
-    """Wrong: divides by a span of zero."""
-
-    @staticmethod
-    def step(
-        c: tuple[()], s: tuple[float, ...], x: float, span: float  # noqa: ARG004
-    ) -> tuple[float, tuple[float, ...]]:
-        return (x - s[-1]) / span, (x,)
-
-
-class Clipping(Growing):
-    """Wrong: makes a number of what is none."""
-
-    @staticmethod
-    def step(
-        c: tuple[()], s: tuple[float, ...], x: float, span: float  # noqa: ARG004
-    ) -> tuple[float, tuple[float, ...]]:
-        return max(-1.0, min(1.0, (x - s[-1]) / max(span, 1e-300))), (x,)
-
-
-@pytest.mark.parametrize("wrong", [Growing(), Dividing(), Clipping()], ids=lambda e: type(e).__name__)
-def test_what_does_not_conform_is_found(wrong: Any) -> None:
-    with pytest.raises((AssertionError, ZeroDivisionError)):
-        conforms(wrong)
-
-
 @every
-@pytest.mark.parametrize("x", [0.0, 0.1, -3.7e-5, 1e6])
-def test_a_constant_has_no_velocity(estimator: Any, x: float) -> None:
-    assert velocities(estimator, [x] * 50) == [0.0] * 50
+def test_a_constant_has_no_velocity(estimator: Any) -> None:
+    for x in (0.0, 0.1, -3.7e-5, 1e6):
+        assert velocities(estimator, [x] * 50) == [0.0] * 50
 
 
 @every
@@ -122,9 +73,9 @@ def test_after_a_motion_it_comes_to_rest_exactly(estimator: Any) -> None:
 
 
 @every
-@pytest.mark.parametrize("v", [0.02, -0.3])
-def test_a_ramp_gives_its_slope(estimator: Any, v: float) -> None:
-    assert velocities(estimator, ramp(v, 2000))[1000:] == pytest.approx([v] * 1000, rel=1e-9)
+def test_a_ramp_gives_its_slope(estimator: Any) -> None:
+    for v in (0.02, -0.3):
+        assert velocities(estimator, ramp(v, 2000))[1000:] == pytest.approx([v] * 1000, rel=1e-9)
 
 
 @every
@@ -156,7 +107,7 @@ def scaled(estimator: Any, length: float, time: float) -> Any:
 
 @every
 @given(walk=walks)
-@settings(max_examples=50)
+@settings(max_examples=25)
 def test_it_does_not_depend_on_the_units(estimator: Any, walk: list[int]) -> None:
     """Lengths by 16 and times by 4, powers of four, so that nothing is rounded: bit for bit."""
     readings = [sum(walk[:k]) * 1e-5 for k in range(len(walk))]
@@ -166,7 +117,7 @@ def test_it_does_not_depend_on_the_units(estimator: Any, walk: list[int]) -> Non
 
 @every
 @given(walk=walks, offset=st.integers(-(2**20), 2**20))
-@settings(max_examples=50)
+@settings(max_examples=25)
 def test_it_does_not_depend_on_the_place_or_the_direction(estimator: Any, walk: list[int], offset: int) -> None:
     """Readings in whole steps of 2^-17 m, so that moving them rounds nothing."""
     step = 2.0**-17
@@ -185,3 +136,72 @@ def test_numbers_of_any_kind_become_those_of_python() -> None:
         conforms(made)
     conforms(LowPass(cutoff=np.float64(30.0)))
     conforms(Levant(L=np.float64(1.0)))
+
+
+# The backward difference: the mean velocity of the last span, to half a tick and a step of the encoder
+
+
+accelerations = st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=100)
+
+
+@given(x0=st.floats(-1.0, 1.0), x1=st.floats(-1.0, 1.0), span=st.sampled_from([1e-4, 1e-3, 0.5]))
+def test_it_is_the_difference_over_the_span(x0: float, x1: float, span: float) -> None:
+    estimator = BackwardDifference()
+    v, s = estimator.step(estimator.coefficients(T), estimator.start(x0), x1, span)
+    assert v == (x1 - x0) / span
+    assert s == (x1,)
+
+
+@given(a=accelerations, v=st.floats(-1.0, 1.0))
+def test_it_lags_by_half_a_tick_exactly(a: list[float], v: float) -> None:
+    xs, vs = driven(a, v)
+    found = velocities(BackwardDifference(), xs)
+    for k in range(1, len(a)):
+        assert found[k] == pytest.approx(vs[k] - 0.5 * T * a[k - 1], abs=1e-12)
+
+
+@pytest.mark.parametrize("step", [1e-5, 6e-5])
+def test_behind_an_encoder_it_is_a_multiple_of_step_over_tick_and_off_by_less_than_one(step: float) -> None:
+    xs, vs = sine(1000)
+    found = velocities(BackwardDifference(), floored(xs, step, 0.5))
+    for estimate, before, v in zip(found[1:], vs, vs[1:], strict=False):
+        assert estimate * T / step == pytest.approx(floor(estimate * T / step + 0.5), abs=1e-6)
+        assert abs(estimate - 0.5 * (before + v)) < step / T + 1e-6
+    assert max(abs(a - b) for a, b in zip(found[1:], vs[1:], strict=True)) > 0.9 * step / T
+
+
+# What they resolve of a slow sine, 1 cm at 1 Hz, read at 1 kHz by encoders of 10 to 60 um
+
+
+STEPS = (1e-5, 2e-5, 3e-5, 4e-5, 5e-5, 6e-5)  # m
+Make = Callable[[float], Any]
+
+# RMS error in mm/s of a velocity of 44 mm/s RMS, by encoder step, over four periods after the first.
+MEASURED: dict[str, tuple[Make, tuple[float, ...]]] = {
+    "backward difference": (lambda _: BackwardDifference(), (4.03, 7.67, 11.56, 17.19, 19.40, 21.60)),
+    "low-pass 10 Hz": (lambda _: LowPass(cutoff=10.0), (4.43, 4.44, 4.46, 4.48, 4.51, 4.54)),
+    "low-pass 30 Hz": (lambda _: LowPass(cutoff=30.0), (1.58, 1.80, 2.20, 2.52, 2.97, 3.30)),
+    "end-fit": (lambda step: EndFit(noise=step), (1.69, 2.05, 2.23, 2.36, 2.52, 2.64)),
+    "best-fit": (lambda step: BestFit(noise=step), (1.70, 1.99, 2.11, 2.15, 2.20, 2.40)),
+    "Levant": (lambda _: Levant(L=1.0), (1.32, 1.72, 2.18, 2.43, 2.48, 2.79)),
+}
+
+
+def error(make: Make, step: float) -> float:
+    """mm/s."""
+    xs, vs = sine(5000)
+    return 1e3 * rms(velocities(make(step), floored(xs, step))[1000:], vs[1000:])
+
+
+def test_the_errors_are_those_measured() -> None:
+    """The orders of the literature, F. Janabi-Sharifi et al. 2000 and V. Chawda et al. 2011, are those of the table."""
+    for name, (make, measured) in MEASURED.items():
+        assert [error(make, step) for step in STEPS] == pytest.approx(measured, abs=0.02), name
+
+
+def test_half_a_step_is_too_little_noise_for_a_window() -> None:
+    """The line through two readings misses a third by up to a whole step, so the window keeps collapsing."""
+    for make in (EndFit, BestFit):
+        for step in STEPS[1::2]:
+            half = error(lambda step, make=make: make(noise=0.5 * step), step)
+            assert half > 1.6 * error(lambda step, make=make: make(noise=step), step)
