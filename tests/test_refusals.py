@@ -85,8 +85,9 @@ def test_a_wrong_command_is_refused_in_one_sentence_and_leaves_nothing(
 @pytest.mark.parametrize("module", REQUESTS["python"])
 @pytest.mark.usefixtures("folder")
 def test_a_wrong_value_is_refused_in_one_sentence(module: str) -> None:
-    exports = {name: getattr(teleop, name) for name in teleop.__all__}
-    names = {"np": np, "inf": inf, "nan": nan, "Path": Path, **exports, **vars(importlib.import_module(module))}
+    home = importlib.import_module(module)
+    exports = {name: getattr(part, name) for part in (teleop, home) for name in getattr(part, "__all__", ())}
+    names = {"np": np, "inf": inf, "nan": nan, "Path": Path, **exports, **vars(home)}
 
     def ask(request: str) -> str:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import count
 from typing import Any
 
@@ -12,14 +13,39 @@ from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, encode
 from teleop.protocol.secure.dtls_record import cookie_record, is_cookie_record, records
 from teleop.scene.loading import load_scene
-from tests.channel.no_wire import NoWire
 
 MS = 1_000_000
 MASTER, SLAVE = ("192.0.2.1", 4000), ("192.0.2.2", 9001)
 UNKNOWN, OTHER_HOME = ("198.51.100.7", 5000), ("192.0.2.3", 9001)
 SCENE = load_scene("canonical", link="none", duration=100)
+MANIFEST = manifest_of(SCENE)
 INSIDE = count()
 Where = tuple[str, int]
+
+
+class NoWire:
+    """A wire, its own socket too, that goes nowhere. `answers`: what was sent, and where to."""
+
+    def __init__(self, peer: Where | None) -> None:
+        self.peer, self.sock, self.closed = peer, self, False
+        self.answers: list[tuple[Where, bytes]] = []
+
+    def fileno(self) -> int:
+        return -1
+
+    def close(self) -> None:
+        self.closed = True
+
+    def answer(self, data: bytes, address: Where) -> None:
+        self.answers.append((address, data))
+
+
+@lru_cache(maxsize=256)
+def packet_of(number: int, kind: Kind, seq: int) -> bytes:
+    """A packet of the session of this number."""
+    payload: Any = {Kind.START: 0, Kind.FORTH: (1.0,), Kind.BACK: (1.0,), Kind.BYE: "it is over",
+                    Kind.REFUSE: "it is over"}.get(kind, MANIFEST)
+    return encode(Packet(kind, number, seq, 0, Echo(0, 0), payload))
 
 
 class Site:
@@ -28,7 +54,7 @@ class Site:
     def __init__(self, **how: Any) -> None:
         self.near, self.far, self.ports = NoWire(None), NoWire(SLAVE), list[NoWire]()
         wires: Any = self.near, self.far
-        self.router = Router(how.pop("scene", SCENE), 0, *wires, port=self._port, close=self._close, secret=bytes(32),
+        self.router = Router(SCENE, 0, *wires, port=self._port, close=NoWire.close, secret=bytes(32),  # type: ignore[arg-type]
                              **how)
         self.now = 10**12  # ns, of a clock that has been running
         self.out: tuple[list[tuple[Any, bytes]], list[tuple[Any, bytes]]] = ([], [])  # to the master, to the slave
@@ -37,59 +63,45 @@ class Site:
         self.ports.append(NoWire(home))
         return self.ports[-1]
 
-    def _close(self, wire: Any) -> None:
-        wire.closed = True
-
     def takes(self, data: bytes, sender: Where, flow: Flow | None = None) -> bool:
-        """Does it pass on what comes from there? What comes from 9001 comes from the slave's side.
+        """True if it passes on what comes from there. What comes from port 9001 comes from the slave's side.
 
         `flow`: through whose wire the slave answers; left out, what is sealed goes through the newest.
         """
-        before, router = [len(self.out[way]) for way in (0, 1)], self.router
-        if sender[1] == SLAVE[1]:
+        way, router = int(sender[1] != SLAVE[1]), self.router
+        before = len(self.out[way])
+        if way == 0:
             newest = [one for one in router.flows if one.sealed] or [None]
             router.from_far(flow or (newest[-1] if data[:1] != b"B" else None), data, sender, self.now)
-            way = 0
         else:
             router.from_near(data, sender, self.now)
-            way = 1
-        self.drain()
-        return len(self.out[way]) > before[way]
-
-    def drain(self) -> None:
-        """Take what comes out by now."""
-        for flow in self.router.flows:
-            for way, load in flow.relay.due(0 if flow.origin is None else self.now - flow.origin):
-                self.out[1 - way].append((flow.slave if way == 0 else flow.master, load))
-        for way, wire in enumerate((self.near, self.far)):
-            self.out[way].extend(wire.answers)
+        for each in router.flows:
+            for direction, load in each.relay.due(0 if each.origin is None else self.now - each.origin):
+                self.out[1 - direction].append((each.slave if direction == 0 else each.master, load))
+        for side, wire in enumerate((self.near, self.far)):
+            self.out[side].extend(wire.answers)
             wire.answers.clear()
+        return len(self.out[way]) > before
 
     def session(self, number: int) -> Callable[..., bytes]:
-        """Packets of a session, by kind."""
-        def packet(kind: Kind, seq: int = 0) -> bytes:
-            payload: Any = 0 if kind is Kind.START else manifest_of(SCENE)
-            payload = (1.0,) if kind in (Kind.FORTH, Kind.BACK) else payload
-            payload = "it is over" if kind in (Kind.BYE, Kind.REFUSE) else payload
-            return encode(Packet(kind, number, seq, 0, Echo(0, 0), payload))
-        return packet
+        """Packets of a session, by kind and number."""
+        return lambda kind, seq=0: packet_of(number, kind, seq)
 
     def meet(self, number: int, master: Where = MASTER, slave: Where = SLAVE) -> None:
         """The first exchange of a session."""
-        packet = self.session(number)
         for kind, sender in ((Kind.HELLO, master), (Kind.WELCOME, slave), (Kind.START, master), (Kind.START, slave)):
-            assert self.takes(packet(kind), sender), kind
+            assert self.takes(packet_of(number, kind, 0), sender), kind
 
     def run(self, number: int, ms: int = 10) -> None:
         """A session of the honest ends, from its HELLO on or further on."""
-        packet = self.session(number)
+        forth, back = (packet_of(number, kind, 0) for kind in (Kind.FORTH, Kind.BACK))
         flow = self.router.flows.of(MASTER)
-        if flow is None or not packet(Kind.BACK).startswith(flow.mark, 6) or not flow.mark:
+        if flow is None or not back.startswith(flow.mark, 6) or not flow.mark:
             self.meet(number)
         for _ in range(ms):
             self.now += MS
-            assert self.takes(packet(Kind.FORTH), MASTER)
-            assert self.takes(packet(Kind.BACK), SLAVE)
+            assert self.takes(forth, MASTER)
+            assert self.takes(back, SLAVE)
 
     def asks(self, master: Where = MASTER, number: int = 3, random: bytes = bytes(32)) -> bytes:
         """A master shows its address to the relay; the hello with its cookie, which the relay passes on."""

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from channel.relay import MOST_FLOWS, QUIET_NS, UNMET_MOST, UNMET_NS
 from channel.router import EACH_MOST
-from teleop.protocol.packet import Kind
+from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
 from teleop.protocol.secure.dtls_record import MTU
+from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
-from tests.channel.site import MASTER, MS, OTHER_HOME, SLAVE, UNKNOWN, Site, hello, request, sealed
+from tests.channel.site import MANIFEST, MASTER, MS, OTHER_HOME, SLAVE, UNKNOWN, Site, hello, request, sealed
+from tests.live.conftest import command, summary  # noqa: F401 (a fixture)
 
 # In the open
 
@@ -57,25 +62,22 @@ def test_hellos_reach_the_slave_at_a_bounded_rate_and_each_sender_has_a_share() 
     assert once.takes(once.session(10**6)(Kind.HELLO), MASTER)
 
 
-@pytest.mark.parametrize(("kind", "where"), [
-    (Kind.WELCOME, SLAVE), (Kind.REFUSE, SLAVE), (Kind.BACK, OTHER_HOME), (Kind.START, OTHER_HOME),
-])
-def test_neither_a_welcome_nor_what_comes_from_elsewhere_holds_the_link(kind: Kind, where: tuple[str, int]) -> None:
+def test_neither_a_welcome_nor_what_comes_from_elsewhere_holds_the_link() -> None:
     """A slave welcomes every master that has its scene; and from elsewhere a sender could answer its own HELLO."""
-    site = Site()
-    strange = site.session(5)
-    for _ in range(20):
-        site.takes(strange(Kind.HELLO), UNKNOWN)
-        site.takes(strange(Kind.WELCOME), where)
-        site.takes(strange(kind), where)
-        site.now += 20 * MS
-    site.run(7)
-    for _ in range(20):
+    for kind, where in ((Kind.WELCOME, SLAVE), (Kind.REFUSE, SLAVE), (Kind.BACK, OTHER_HOME), (Kind.START, OTHER_HOME)):
+        site = Site()
+        strange = site.session(5)
+        for _ in range(20):
+            site.takes(strange(Kind.HELLO), UNKNOWN)
+            site.takes(strange(Kind.WELCOME), where)
+            site.takes(strange(kind), where)
+            site.now += 20 * MS
+        for _ in range(20):
+            site.run(7)
+            for each in (Kind.HELLO, Kind.START, Kind.FORTH):
+                assert not site.takes(strange(each), UNKNOWN)
+            assert not site.takes(strange(kind), where) or where == SLAVE
         site.run(7)
-        for each in (Kind.HELLO, Kind.START, Kind.FORTH):
-            assert not site.takes(strange(each), UNKNOWN)
-        assert not site.takes(strange(kind), where) or where == SLAVE
-    site.run(7)
 
 
 def test_a_session_that_runs_is_not_taken_over() -> None:
@@ -84,8 +86,8 @@ def test_a_session_that_runs_is_not_taken_over() -> None:
     site.out[0].clear()
     site.out[1].clear()
     strange = site.session(5)
-    for _ in range(100):
-        site.run(7, 100)
+    for _ in range(40):
+        site.run(7, 20)
         for kind in (Kind.HELLO, Kind.FORTH, Kind.START):
             assert not site.takes(strange(kind), UNKNOWN)
         assert not site.takes(hello(), UNKNOWN)
@@ -98,7 +100,7 @@ def test_a_session_that_runs_is_not_taken_over() -> None:
 @pytest.mark.parametrize("silent", [MASTER, SLAVE])
 def test_a_session_that_one_end_has_left_gives_way(silent: tuple[str, int]) -> None:
     site = Site()
-    site.run(7, 2000)
+    site.run(7, 200)
     packet, other = site.session(7), site.session(8)
     for _ in range(QUIET_NS // (100 * MS)):
         assert not site.takes(other(Kind.HELLO), UNKNOWN)
@@ -108,20 +110,14 @@ def test_a_session_that_one_end_has_left_gives_way(silent: tuple[str, int]) -> N
     assert not site.takes(packet(Kind.FORTH), MASTER), "the slave has taken up another session"
 
 
-def test_its_own_master_may_ask_anew_at_any_time() -> None:
-    site = Site()
-    site.run(7)
-    site.run(8)
-    assert not site.takes(site.session(7)(Kind.BACK), SLAVE)
-
-
-def test_the_next_session_has_a_link_of_its_own_and_all_stay_counted() -> None:
+def test_its_own_master_may_ask_anew_and_the_next_session_has_a_link_of_its_own_and_all_stay_counted() -> None:
     site = Site()
     site.run(7)
     site.run(8)
     for way in (0, 1):
         counts = site.router.counts(way)
         assert counts.received == counts.delivered == 2 * (10 + 2)
+    assert not site.takes(site.session(7)(Kind.BACK), SLAVE)
 
 
 def test_a_relay_that_is_turned_has_the_other_link_in_the_next_session_and_counts_both() -> None:
@@ -160,7 +156,6 @@ def test_messages_longer_than_the_scenes_are_not_passed_on() -> None:
     site.run(7)
     packet = site.session(7)(Kind.FORTH)
     assert len(packet) <= site.router._size == 100
-    from teleop.protocol.packet import Echo, Packet, encode
     long = encode(Packet(Kind.FORTH, 7, 1, 0, Echo(0, 0), (1.0,)), 1200)
     assert not site.takes(long, MASTER)
     assert not site.takes(bytes(8000), MASTER)
@@ -295,3 +290,84 @@ def test_a_sealed_answer_from_another_address_is_heard_if_it_has_the_number_of_t
     assert site.takes(sealed(1), MASTER)
     assert site.out[1][-1][0] == OTHER_HOME
     assert capsys.readouterr().err.count("--peer 192.0.2.3:9001") == 1
+
+
+# Beyond this machine: what is not sealed stays out, unless that was asked for and is said
+
+ANY = ("0.0.0.0", 9000)
+
+
+def test_a_keyless_slave_on_loopback_is_not_opened_to_the_network_by_a_channel(
+    capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not one datagram of either side is passed on; that is said once, with what to type. What is sealed passes."""
+    site = Site(beyond=ANY)
+    for _ in range(10):
+        for kind in Kind:
+            assert not site.takes(site.session(7)(kind), MASTER)
+            assert not site.takes(site.session(7)(kind), SLAVE)
+        assert not site.takes(b"GET / HTTP/1.1", MASTER)
+    assert site.router.unsealed == 10 * (2 * len(Kind) + 1)
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    for word in ("192.0.2.1:4000", "0.0.0.0:9000", "--key", "--insecure"):
+        assert word in said
+    sealing = Site(beyond=ANY)
+    sealing.asks()
+    assert sealing.takes(sealed(0, 22), SLAVE)
+    assert sealing.takes(sealed(1), MASTER)
+    assert sealing.takes(sealed(1), SLAVE)
+    assert sealing.router.unsealed == 0
+
+
+def test_both_ends_are_told_by_a_channel_that_was_asked_to_carry_their_link_in_the_open() -> None:
+    """By an entry in each other's manifest, that tells and is not compared; the exchange goes on with it."""
+    site = Site(beyond=ANY, insecure=True)
+    ends = {True: Session(master=True, manifest=MANIFEST, number=7), False: Session(master=False, manifest=MANIFEST)}
+    assert not any(end.in_the_open for end in ends.values())
+    waiting = [(True, data) for data in ends[True].due(site.now)]
+    while waiting:
+        master, data = waiting.pop(0)
+        site.now += MS
+        assert site.takes(data, MASTER if master else SLAVE)
+        _, passed = site.out[1 if master else 0][-1]
+        assert len(passed) <= max(1200, len(data) + 24)
+        packet = decode(passed, 0)
+        assert isinstance(packet, Packet)
+        waiting += [(not master, reply) for reply in ends[not master].receive(packet, site.now, len(passed))]
+    assert all(end.met == 1 and end.failure is None and end.in_the_open for end in ends.values())
+
+
+def test_between_ends_of_this_machine_nothing_is_marked() -> None:
+    site = Site(insecure=True)
+    for kind, sender in ((Kind.HELLO, MASTER), (Kind.WELCOME, SLAVE)):
+        assert site.takes(site.session(7)(kind), sender)
+        assert site.out[int(sender == MASTER)][-1][1] == site.session(7)(kind)
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("insecure", [pytest.param(False, marks=pytest.mark.full), True])
+def test_a_channel_on_all_addresses_is_refused_to_ends_without_keys_or_said_at_all_three(
+    insecure: bool, command: Callable[..., Any], tmp_path: Path  # noqa: F811
+) -> None:
+    scene = ["hard_wall", "--set", "duration=0.5", "--json"]
+    slave = command("slave", *scene, "--listen", "127.0.0.1:0", "--out", str(tmp_path / "s"))
+    channel = command("channel", *scene, "--listen", "0.0.0.0:0", "--peer", f"127.0.0.1:{slave.port()}",
+                      *["--insecure"] * insecure)
+    master = command("master", *scene, "--peer", f"127.0.0.1:{channel.port()}", "--out", str(tmp_path / "m"),
+                     "--wait", "30" if insecure else "4")
+    if insecure:
+        ends = [one.end() for one in (master, slave)]
+        assert [code for code, _, _ in ends] == [0, 0]
+        assert all(err.count("INSECURE: a channel on the way") == 1 for _, _, err in ends)
+        for folder in ("m", "s"):
+            assert any("--insecure" in note for note in summary(tmp_path / folder)["notes"])
+    else:
+        master.refused("no answer")
+        slave.process.terminate()
+        assert slave.end()[0] == 130
+    channel.process.terminate()
+    code, _, err = channel.end()
+    assert code == 0
+    assert ("INSECURE: the link to 0.0.0.0:" if insecure else "dropped a packet without keys") in err
+    assert err.count("\n") == 1

@@ -1,14 +1,12 @@
 """Random numbers: Philox as published, keyed as stated, uniform and normal."""
 
 import numpy as np
-import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import Generator, Philox
 from scipy import stats
 
 from channel.rng import BLOCK, KEY, Rng, inside, unit
-from teleop.errors import Refused
 
 MASK = 2**64 - 1
 
@@ -31,6 +29,7 @@ def test_reference_gives_the_published_vectors() -> None:
         0x87B092C3013FE90B, 0x438C3C67BE8D0224, 0x9CC7D7C69CD777B6, 0xA09CAEBF594F0BA0]
 
 
+@settings(max_examples=50)
 @given(seed=st.integers(0, MASK), packet=st.integers(0, 2**62), draw=st.integers(0, 2**40),
        place=st.integers(0, 50), direction=st.integers(0, 1))
 def test_words_are_philox_of_seed_direction_place_packet_draw(
@@ -42,6 +41,7 @@ def test_words_are_philox_of_seed_direction_place_packet_draw(
     assert words == numpys.random_raw(4).tolist()
 
 
+@settings(max_examples=50)
 @given(packets=st.lists(st.one_of(st.integers(0, 5000), st.integers(0, 2**61)), max_size=40))
 def test_a_draw_does_not_depend_on_what_it_is_drawn_with(packets: list[int]) -> None:
     together = Rng(3, 0, 1).words(np.array(packets, np.int64))
@@ -55,24 +55,21 @@ def test_a_long_run_equals_its_packets_one_by_one() -> None:
     run = np.arange(BLOCK - 100, 2 * BLOCK + 100)
     whole = Rng(9, 1, 2).uniform(run, draw=5, word=2)
     kept = Rng(9, 1, 2)
-    assert whole.tolist() == [float(kept.uniform(run[i:i + 1], draw=5, word=2)[0]) for i in range(len(run))]
+    some = np.r_[0:200, len(run) - 200:len(run)]  # about both borders of a block
+    assert whole[some].tolist() == [float(kept.uniform(run[i:i + 1], draw=5, word=2)[0]) for i in some]
     assert np.array_equal(Rng(9, 1, 2).uniform(run[::-1], draw=5, word=2), whole[::-1])
 
 
-def test_uniform_is_numpys() -> None:
-    """The same 53 bits that numpy's Generator takes."""
+def test_uniform_numbers_are_numpys_of_the_same_53_bits_and_stay_within_their_ends() -> None:
     ours = Rng(4, 0, 0).words(np.arange(50))
     theirs = Generator(Philox(key=[4, KEY], counter=[0, 0, 0, 0])).random(200)
     assert unit(ours).ravel().tolist() == theirs.tolist()
-
-
-def test_ends_of_the_intervals() -> None:
     extremes = np.array([0, MASK], np.uint64)
     assert unit(extremes).tolist() == [0.0, 1.0 - 2.0**-53]
     assert inside(extremes).tolist() == [2.0**-53, 1.0 - 2.0**-53]
 
 
-def test_distributions_and_independence() -> None:
+def test_numbers_have_their_distributions_and_are_independent() -> None:
     packet = np.arange(20_000)
     base = Rng(1, 0, 0)
     u, z = base.uniform(packet), base.normal(packet)
@@ -82,11 +79,3 @@ def test_distributions_and_independence() -> None:
               Rng(1, 1, 0).uniform(packet), Rng(1, 0, 1).uniform(packet), np.roll(u, 1)]
     for other in others:
         assert abs(np.corrcoef(u, other)[0, 1]) < 4 / np.sqrt(len(packet))
-
-
-@pytest.mark.parametrize("seed", [-1, 2**64, 1.0, "1", None, True])
-def test_a_seed_is_a_whole_number_of_64_bits(seed: object) -> None:
-    with pytest.raises(Refused, match=r"seed must be a whole number.*write seed=1"):
-        Rng(seed, 0, 0)  # type: ignore[arg-type]
-    with pytest.raises(Refused, match="direction must be 0"):
-        Rng(1, 2, 0)

@@ -2,8 +2,8 @@
 
 Folders of runs, live ends, pages, sweeps, comparisons and studies are changed by bytes, by the structure of their
 JSON, rows and arrays, and by what stands in place of a file. Every case ends with exit code 0 and a table, or 2 and a
-sentence; in bounded memory; nothing outside of the folder is touched, and no code of the folder is run. A few hundred
-cases always, many with `-m fuzz`.
+sentence; in bounded memory; nothing outside of the folder is touched, and no code of the folder is run. A few dozen
+cases always, hundreds with `-m full`, many with `-m fuzz`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from teleop.live.records.merge import merge
 from teleop.scene.library import ROOT
 from tests.live.conftest import Pair
 
-SLICES = 4
 EACH = 60  # cases of a slice; the long form has thousands
 LONG = 10_000
 COMPARED = """
@@ -71,8 +70,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (sound / "page" / "page.json").write_text(json.dumps({"version": 1, "scene": "hard_wall", "parts": parts}))
     (at / "small.toml").write_text(COMPARED)
     for words in (["compare", str(at / "small.toml"), "--laws", "wave,direct", "--workers", "1", "--out", "comparison"],
-                  ["tune", "wave", "--scene", "hard_wall", "--budget", "6", "--out", "tune"],
-                  ["zwidth", "virtual_wall", "--out", "zwidth"]):
+                  ["tune", "wave", "--scene", "hard_wall", "--budget", "4", "--out", "tune"],
+                  ["zwidth", "virtual_wall", "--range-k", "1000:1200", "--range-b", "1:1.2", "--out", "zwidth"]):
         assert main([*words[:-1], str(sound / words[-1])]) == 0
     (at / "outside").mkdir()
     for name in ("precious", "summary.json", "trace.npz", "record.bin", "rows.jsonl", "sweep.json"):
@@ -104,7 +103,7 @@ def test_a_sound_folder_of_every_kind_is_opened(place: Path, tmp_path: Path) -> 
         assert main(["report", str(tmp_path / sound.name), "--json"]) == 0, sound.name
 
 
-@pytest.mark.parametrize("part", range(SLICES))
+@pytest.mark.parametrize("part", [0, *(pytest.param(part, marks=pytest.mark.full) for part in (1, 2, 3))])
 def test_every_changed_folder_ends_in_a_table_or_in_one_sentence(part: int, place: Path, tmp_path: Path) -> None:
     assert opened(place, part * EACH, EACH, 15, tmp_path) == []
 

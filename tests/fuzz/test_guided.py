@@ -12,7 +12,7 @@ import pytest
 from teleop.scene.library import ROOT
 from tests.fuzz import guided
 
-FORMS = [pytest.param(2000, id="short"),
+FORMS = [pytest.param(1000, id="short"),
          pytest.param(200_000, id="long", marks=[pytest.mark.fuzz, pytest.mark.timeout(3600)])]
 
 

@@ -67,7 +67,7 @@ def width_of(packet: Packet) -> int:
     return len(packet.payload) if isinstance(packet.payload, tuple) else 1
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(packets())
 def test_what_is_encoded_is_decoded_to_the_same_packet(packet: Packet) -> None:
     data = encode(packet)
@@ -94,7 +94,7 @@ headed = st.binary(max_size=100).map(lambda data: sealed(b"BT\x02" + data))
 anything = st.one_of(framings, st.binary(max_size=300), headed, packets().map(encode))
 
 
-@settings(max_examples=600)
+@settings(max_examples=250)
 @given(anything, st.integers(0, 12))
 @example(b"", 1)
 def test_no_bytes_raise_and_what_is_a_packet_is_the_same_packet_when_sent_on(data: bytes, width: int) -> None:
@@ -268,7 +268,7 @@ class OneSlave(OneEnd):
 
 TestMaster = OneMaster.TestCase
 TestSlave = OneSlave.TestCase
-TestMaster.settings = TestSlave.settings = settings(max_examples=50, stateful_step_count=30)
+TestMaster.settings = TestSlave.settings = settings(max_examples=25, stateful_step_count=30)
 
 
 @pytest.mark.fuzz
@@ -287,7 +287,7 @@ def test_many_more_bytes_raise_nothing_and_come_back_as_they_are(data: bytes, wi
     keeps_its_word(data, width)
 
 
-@settings(max_examples=150)
+@settings(max_examples=50)
 @given(st.sampled_from("ms"), st.booleans(), st.lists(st.tuples(anything, st.integers(0, 2**31)), max_size=30))
 def test_no_datagrams_at_any_time_raise_at_an_end(e: str, running: bool, several: list[tuple[bytes, int]]) -> None:
     session = Session(master=e == "m", manifest=MANIFEST, number=OURS if running or e == "m" else None)

@@ -20,7 +20,7 @@ from channel.link import parse_link
 from channel.router import Router
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, Packet, encode, peek
-from tests.channel.no_wire import NoWire
+from tests.channel.site import NoWire
 from tests.fuzz.datagrams import Hostile, View
 from tests.fuzz.running import AT, MS, fuzzed
 from tests.fuzz.test_million import EACH, FORMS, Fire, is_flat
