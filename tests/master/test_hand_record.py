@@ -8,11 +8,12 @@ from array import array
 from collections.abc import Sequence
 from math import nan
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from master.device import SimulatedMaster
 from master.hand_record import HandRecording
 from master.steered import SteeredMaster
 from teleop import load_scene, run
@@ -54,80 +55,70 @@ def test_a_part_that_ended_before_its_first_tick_is_left_out_of_a_page(tmp_path:
     folder = page(tmp_path / "p", ("start", [(0, 0.1), (1, 0.2), (2, 0.3)]), ("turn", []))
     written(folder / "02" / "master", [])
     assert places(folder) == [0.1, 0.2, 0.3]
+    never = page(tmp_path / "q", ("start", [(0, 0.1), (1, 0.2)]), ("turn", []), ("turn", [(3, 0.4)]))
+    assert places(never) == [0.1, 0.2, 0.2, 0.4], "nor one that never began its record"
 
 
-def dragged(folder: Path, scene: str = "hard_wall", **knobs: object) -> tuple[list[float], Any]:
-    """Drag the hand of a scene to and fro over 1.5 s, recorded in `folder`: its reference, tick by tick; the scene."""
-    made = load_scene(scene, **knobs)
-    device = SteeredMaster(made)
+class Drag(NamedTuple):
+    folder: Path
+    path: list[float]  # its reference, tick by tick
+    readings: list[Any]
+
+
+@pytest.fixture(scope="module")
+def drag(tmp_path_factory: pytest.TempPathFactory) -> Drag:
+    """The hand of hard_wall, dragged to and fro over 1.5 s and recorded."""
+    folder, device = tmp_path_factory.mktemp("drag"), SteeredMaster(load_scene("hard_wall"))
     device.record(folder)
-    path = [device._r[0]]
+    path, readings = [device._r[0]], []
     for k in range(1, 1501):
         if k % 16 == 0:
-            device.steer([0.06 * float(np.sin(0.004 * k))] + [0.0] * (made.axes - 1) if k < 1200 else None)
-        device.read(k)
-        device.hold((2.0,) * made.axes)
+            device.steer([0.06 * float(np.sin(0.004 * k))] if k < 1200 else None)
+        readings.append(device.read(k))
+        device.hold((2.0,))
         path.append(device._r[0])
     device.record(None)
-    return path, made
+    return Drag(folder, path, readings)
 
 
-def test_the_reference_of_a_drag_is_run_again_to_the_bit(tmp_path: Path) -> None:
-    path, _ = dragged(tmp_path)
-    scene = load_scene("hard_wall", hand=str(tmp_path))
-    assert scene.hand is not None
-    assert [list(axis) for axis in scene.hand.reference.samples(1, scene.ticks + 1, scene.dt_ns)] == [path]
-    assert scene.duration == 1.5
-    assert scene.ticks == 1500
-
-
-def test_a_hand_that_is_driven_by_its_own_record_moves_the_master_as_it_did(tmp_path: Path) -> None:
-    """Under the forces of the drag: the same samples between the same ticks are the same motion, to the bit."""
-    _, made = dragged(tmp_path)
-    from master.device import SimulatedMaster
-
-    steered, again = SteeredMaster(made), SimulatedMaster(load_scene("hard_wall", hand=str(tmp_path)), senses=True)
-    for k in range(1, 1501):
-        if k % 16 == 0:
-            steered.steer([0.06 * float(np.sin(0.004 * k))] if k < 1200 else None)
-        assert again.read(k) == steered.read(k)
-        for device in (again, steered):
-            device.hold((2.0,))
-
-
-def test_one_drag_is_felt_under_six_laws(tmp_path: Path) -> None:
-    path, _ = dragged(tmp_path)
-    felt = {}
-    for law in LAWS:
-        result = run(load_scene("hard_wall", hand=str(tmp_path), law=law, delay=0.05))
-        assert result.status == "ok", law
-        assert result.ticks == 1500
-        assert result.parameters["hand"] == str(tmp_path)
-        felt[law] = result.trace["f_m"]
-        assert np.abs(result.trace["x_m"] - np.array(path[:1500])).max() < 0.1, "the hand leads, by its spring"
-    assert len({force.tobytes() for force in felt.values()}) == len(LAWS), "each law answers in its own way"
-
-
-def test_the_hand_keeps_its_mass_spring_and_damper_and_its_duration_may_be_another(tmp_path: Path) -> None:
-    dragged(tmp_path)
-    own, scene = load_scene("hard_wall"), load_scene("hard_wall", hand=tmp_path, duration="3")
+def test_the_reference_of_a_drag_is_run_again_to_the_bit_and_so_is_any_part_of_it(drag: Drag) -> None:
+    own, scene = load_scene("hard_wall"), load_scene("hard_wall", hand=str(drag.folder))
     assert own.hand is not None
     assert scene.hand is not None
+    assert [list(axis) for axis in scene.hand.reference.samples(1, scene.ticks + 1, scene.dt_ns)] == [drag.path]
+    assert (scene.duration, scene.ticks) == (1.5, 1500)
     assert (scene.hand.mass, scene.hand.k, scene.hand.d) == (own.hand.mass, own.hand.k, own.hand.d)
-    assert scene.ticks == 3000
-    moved = scene.hand.reference.samples(1, 3001, 1_000_000)[0]
-    assert set(moved[1500:]) == {moved[1500]}, "after its last tick it stays"
-
-
-def test_a_part_of_it_is_that_part_of_the_whole(tmp_path: Path) -> None:
-    dragged(tmp_path)
-    found = HandRecording(str(tmp_path))
-    whole = found.samples(1, 2000, 1_000_000)[0]
+    longer = load_scene("hard_wall", hand=drag.folder, duration="3")
+    assert longer.hand is not None
+    assert longer.ticks == 3000
+    whole = longer.hand.reference.samples(1, 3001, 1_000_000)[0]
+    assert set(whole[1500:]) == {whole[1500]}, "after its last tick it stays"
+    found = HandRecording(str(drag.folder))
     for first, count in ((0, 256), (700, 13), (1490, 100), (1900, 50)):
         assert found.samples(1, count, 1_000_000, first=first)[0] == whole[first:first + count]
 
 
-# -- folders -----------------------------------------------------------------------------------------------------------
+def test_a_hand_that_is_driven_by_its_own_record_moves_the_master_as_it_did(drag: Drag) -> None:
+    """Under the forces of the drag: the same samples between the same ticks are the same motion, to the bit."""
+    again = SimulatedMaster(load_scene("hard_wall", hand=str(drag.folder)), senses=True)
+    for k, reading in enumerate(drag.readings, start=1):
+        assert again.read(k) == reading
+        again.hold((2.0,))
+
+
+@pytest.mark.parametrize("laws", [("wave", "direct"), pytest.param(LAWS, marks=pytest.mark.full)])
+def test_one_drag_is_felt_under_every_law(drag: Drag, laws: tuple[str, ...]) -> None:
+    felt = {}
+    for law in laws:
+        result = run(load_scene("hard_wall", hand=str(drag.folder), law=law, delay=0.05))
+        assert (result.status, result.ticks) == ("ok", 1500), law
+        assert result.parameters["hand"] == str(drag.folder)
+        felt[law] = result.trace["f_m"]
+        assert np.abs(result.trace["x_m"] - np.array(drag.path[:1500])).max() < 0.1, "the hand leads, by its spring"
+    assert len({force.tobytes() for force in felt.values()}) == len(laws), "each law answers in its own way"
+
+
+# Folders
 
 
 def test_the_ticks_of_a_page_go_on_over_its_parts_and_one_without_a_row_repeats_the_one_before(tmp_path: Path) -> None:
@@ -137,16 +128,11 @@ def test_the_ticks_of_a_page_go_on_over_its_parts_and_one_without_a_row_repeats_
     assert places(folder / "02") == [0.35, 0.35, 0.35, 0.4, 0.5], "its first tick is tick 0"
 
 
-@pytest.mark.parametrize("why", ["again", "lost"])
-def test_of_a_page_that_was_started_again_there_is_what_came_since(tmp_path: Path, why: str) -> None:
-    folder = page(tmp_path / "p", ("start", [(0, 0.1), (9, 0.2)]), (why, [(9, 0.0), (10, 0.3)]),
-                  ("turn", [(10, 0.3), (12, 0.4)]))
-    assert places(folder) == [0.0, 0.3, 0.3, 0.4]
-
-
-def test_a_part_that_never_began_its_record_is_left_out(tmp_path: Path) -> None:
-    folder = page(tmp_path / "p", ("start", [(0, 0.1), (1, 0.2)]), ("turn", []), ("turn", [(3, 0.4)]))
-    assert places(folder) == [0.1, 0.2, 0.2, 0.4]
+def test_of_a_page_that_was_started_again_there_is_what_came_since(tmp_path: Path) -> None:
+    for why in ("again", "lost"):
+        folder = page(tmp_path / why, ("start", [(0, 0.1), (9, 0.2)]), (why, [(9, 0.0), (10, 0.3)]),
+                      ("turn", [(10, 0.3), (12, 0.4)]))
+        assert places(folder) == [0.0, 0.3, 0.3, 0.4], why
 
 
 def test_what_a_killed_process_leaves_is_taken_up_to_the_row_that_is_cut_off(tmp_path: Path) -> None:
@@ -158,7 +144,7 @@ def test_what_a_killed_process_leaves_is_taken_up_to_the_row_that_is_cut_off(tmp
 ROWS = [(0.0, 0.1), (1.0, 0.2)]
 
 
-@pytest.mark.parametrize(("make", "said"), [
+BROKEN: list[tuple[Any, str]] = [
     (lambda at: at.mkdir(), r"holds no record of a steered hand \(hand.bin\)"),
     (lambda _at: None, "holds no record of a steered hand"),
     (page, "holds no record of a steered hand"),
@@ -192,29 +178,25 @@ ROWS = [(0.0, 0.1), (1.0, 0.2)]
     (lambda at: (page(at, ("start", [(5, 0.1), (6, 0.1)]), ("turn", [(2, 0.1), (9, 0.1)]))), "does not go on where"),
     (lambda at: (page(at, ("start", ROWS), ("turn", ROWS)), written(at / "02/master", [(2, 0.1, 0.2)])),
      "does not go on where"),
-])
-def test_a_folder_that_holds_no_drag_is_refused_in_a_sentence(tmp_path: Path, make: Any, said: str) -> None:
-    make(at := tmp_path / "p")
-    with pytest.raises(Refused, match=said) as refused:
-        HandRecording(str(at))
-    assert "\n" not in str(refused.value)
+]
 
 
-@pytest.mark.parametrize("path", ["", 3, None, {}])
-def test_what_names_no_folder_is_refused(path: Any) -> None:
-    with pytest.raises(Refused, match="named by the folder of a live page"):
-        load_scene("hard_wall", hand=path)
+def test_a_folder_that_holds_no_drag_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    for i, (make, said) in enumerate(BROKEN):
+        (tmp_path / str(i)).mkdir()
+        make(at := tmp_path / str(i) / "p")
+        with pytest.raises(Refused, match=said) as refused:
+            HandRecording(str(at))
+        assert "\n" not in str(refused.value), i
 
 
-@pytest.mark.parametrize(("scene", "knobs", "said"), [
-    ("hard_wall", {"dt": 2e-3}, r"1 axis with dt=0.001 s, and the scene has 1 axis and dt=0.002 s.*--set dt=0.001"),
-    ("recorded_reach", {}, "the scene has 3 axes"),
-])
-def test_a_scene_with_other_ticks_or_axes_is_refused(
-        tmp_path: Path, scene: str, knobs: dict[str, Any], said: str) -> None:
+def test_a_scene_with_other_ticks_or_axes_is_refused(tmp_path: Path) -> None:
+    """One with other axes was told to set the tick that it had."""
     written(tmp_path, [(0, 0.1), (2000, 0.2)])
-    with pytest.raises(Refused, match=said):
-        load_scene(scene, hand=str(tmp_path), **knobs)
+    with pytest.raises(Refused, match=r"1 axis with dt=0.001 s, and the scene has 1 axis and dt=0.002 s.*--set dt=0.0"):
+        load_scene("hard_wall", hand=str(tmp_path), dt=2e-3)
+    with pytest.raises(Refused, match=r"the scene has 3 axes .* take the scene that it was recorded in$"):
+        load_scene("recorded_reach", hand=str(tmp_path))
 
 
 def test_a_stored_run_that_names_a_recorded_hand_reads_it_for_those_alone_who_trust_it(tmp_path: Path) -> None:
@@ -230,12 +212,3 @@ def test_another_motion_under_the_same_path_is_another_reference(tmp_path: Path)
     other = HandRecording(str(written(tmp_path, [(0, 0.1), (1, 0.3)])))
     assert one == same != other
     assert hash(one) == hash(same)
-
-
-@pytest.mark.parametrize(("axes", "dt_ns", "cure"), [(3, 1_000_000, "in$"), (1, 2_000_000, "in, or --set dt=0.001$")])
-def test_a_scene_with_other_axes_was_told_to_set_the_tick_that_it_had(
-    tmp_path: Path, axes: int, dt_ns: int, cure: str
-) -> None:
-    hand = HandRecording(str(written(tmp_path, [(0.0, 0.0), (1.0, 0.0)])))
-    with pytest.raises(Refused, match=f"take the scene that it was recorded {cure}"):
-        hand.check(axes, dt_ns)

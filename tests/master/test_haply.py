@@ -138,16 +138,15 @@ def test_buttons_of_the_grip_are_the_operators_switches(new: Bench) -> None:
     assert "the grip has no button a (no buttons)" in new.trouble(device, 3)
 
 
-def test_without_a_name_of_a_button_there_is_no_switch(new: Bench) -> None:
-    reading = new.go(new.open(), 3)
-    assert (reading.clutch, reading.present) == (None, None)
-
-
-@pytest.mark.parametrize("length", [0.0, 0.5, 1.1])
-def test_an_orientation_that_is_no_unit_quaternion_is_no_state(new: Bench, length: float) -> None:
+def test_an_orientation_that_is_no_unit_quaternion_is_no_state(new: Bench) -> None:
     device = new.open()
-    new.service.orientation = {"w": length, "x": 0.0, "y": 0.0, "z": 0.0}
-    assert f"quaternion ({length:g}, 0, 0, 0) is no unit quaternion" in new.trouble(device, 3)
+    reading = new.go(device, 3)
+    assert (reading.clutch, reading.present) == (None, None), "there is no switch where no button is named"
+    for length in (0.0, 0.5, 1.1):
+        new.service.orientation = {"w": length, "x": 0.0, "y": 0.0, "z": 0.0}
+        assert f"quaternion ({length:g}, 0, 0, 0) is no unit quaternion" in new.trouble(device, 3)
+        new.service.orientation = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
+        assert new.well_again(device).x
 
 
 def opened_for(bench: Bench, name: str, more: str = "") -> Inverse3:
@@ -155,33 +154,32 @@ def opened_for(bench: Bench, name: str, more: str = "") -> Inverse3:
 
 
 @pytest.mark.parametrize(("axes", "about"), [("xyz", (0, 0, 1)), ("yzx", (0, 1, 0)), ("x-yz", (0, 0, -1)),
-                                             ("-x-yz", (0, 0, 1)), ("zyx", (-1, 0, 0))])
+                                             ("zyx", (-1, 0, 0))])
 def test_the_grip_turns_the_scenes_rotation_beyond_half_a_turn(new: Bench, axes: str, about: tuple[int, ...]) -> None:
     """About the device's z, at 5 rad/s, in axes that are turned and in those of a mirror."""
     device, rate = opened_for(new, "pose", f"?axes={axes}"), 5.0
     reading: Any = None
-    for k in range(900):
+    for k in range(700):
         angle = rate * (k + 1) * 1e-3
         new.service.orientation = {"w": cos(angle / 2), "x": 0.0, "y": 0.0, "z": sin(angle / 2)}
         new.now += 1e-3 - 4 * new.step
         new.clock()
         reading = device.read(k)
         device.hold((0.0,) * 6)
-    assert reading.x[3:] == pytest.approx([rate * 0.9 * each for each in about], abs=0.02)
+    assert reading.x[3:] == pytest.approx([rate * 0.7 * each for each in about], abs=0.02)
     assert reading.v[3:] == pytest.approx([rate * each for each in about], rel=0.02)
     device.hold((1.0, 0.0, 0.0, 9.0, 9.0, 9.0))  # a torque, which no motor has
     new.clock()
     assert hypot(*new.service.force.values()) == pytest.approx(1.0)
 
 
-def test_without_a_grip_there_is_no_orientation(new: Bench) -> None:
-    new.service.without = {"wireless_verse_grip"}
-    assert "the grip tells no orientation" in new.trouble(opened_for(new, "pose"), 3)
-
-
-def test_a_scene_of_joints_is_refused(new: Bench) -> None:
+def test_scenes_that_it_cannot_be_the_master_of_are_refused(new: Bench) -> None:
     with pytest.raises(Refused, match="has no joints of the scene's"):
         opened_for(new, "leader_follower")
+    with pytest.raises(Refused, match="the scene has 3 axes that are places"):
+        new.open("?axes=xy")
+    new.service.without = {"wireless_verse_grip"}
+    assert "the grip tells no orientation" in new.trouble(opened_for(new, "pose"), 3)
 
 
 def test_a_force_beyond_the_limit_keeps_its_direction(new: Bench) -> None:
@@ -235,43 +233,43 @@ def test_a_service_that_says_nothing_is_not_read(new: Bench) -> None:
     assert new.well_again(device).x
 
 
-@pytest.mark.parametrize("said", [
+NO_STATES: tuple[Any, ...] = (
     "", "{", "[1, 2]", "null", '{"inverse3": 3}', b"\xff\xfe", "[" * 5_000, '{"inverse3": [{"device_id": "049D"}]}',
     '{"inverse3": [{"device_id": "049D", "state": {"cursor_position": {"x": 1}, "cursor_velocity": {}}}]}',
     '{"inverse3": {"049D": {"state": {}}}}',
-], ids=range(10))
-def test_what_is_no_state_is_said_and_the_next_state_mends_it(new: Bench, said: Any) -> None:
-    device = new.open()
-    new.go(device, 5)
-    new.service.say = said
-    sentence = new.trouble(device, 5)
-    assert "Inverse" in sentence
-    assert "\n" not in sentence
-    new.service.say = None
-    assert new.well_again(device, 5).x
+)
 
 
-@pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999", '"0.1"', "true", "null"])
-def test_a_position_that_is_no_finite_number_reaches_no_law(new: Bench, number: str) -> None:
+def test_what_is_no_state_is_said_and_the_next_state_mends_it(new: Bench) -> None:
+    """Nor is a position that is no finite number, which reaches no law."""
     device = new.open()
     new.go(device, 5)
     told = '"cursor_position": {"x": '
-    state = json.dumps(new.service.state()).replace(f"{told}0.0", told + number)
-    assert number in state
-    new.service.say = state
-    assert "finite" in new.trouble(device, 5)
+    numbers = {number: json.dumps(new.service.state()).replace(f"{told}0.0", told + number)
+               for number in ("NaN", "Infinity", "1e999", '"0.1"', "true", "null")}
+    assert all(number in state for number, state in numbers.items())
+    for said in (*NO_STATES, *numbers.values()):
+        new.service.say = said
+        sentence = new.trouble(device, 5)
+        assert ("finite" if said in numbers.values() else "Inverse") in sentence, said
+        assert "\n" not in sentence
+        new.service.say = None
+        assert new.well_again(device, 5).x
 
 
 def test_a_service_without_an_inverse3_says_what_it_has(new: Bench) -> None:
     new.service.without = {"inverse3"}
     with pytest.raises(DeviceError, match=r"lists no Inverse3, but wireless_verse_grip 7C11; plug it in"):
         new.open()
-
-
-def test_another_inverse3_than_the_one_that_is_asked_for_is_not_driven(new: Bench) -> None:
+    new.service.without = set()
     with pytest.raises(DeviceError, match=r"lists no Inverse3 04EA, but inverse3 049D"):
         new.open("?device=04EA")
-    assert new.service.commands == []
+    assert new.service.commands == [], "another than the one that is asked for is not driven"
+    for status, cure in (("calibrated", "grip on the base"), ("power_supply", "plug its power")):
+        new.service.status[status] = False
+        with pytest.raises(DeviceError, match=cure):
+            new.open()
+        new.service.status[status] = True
 
 
 def test_an_inverse3_that_is_unplugged_in_a_run_is_said_and_comes_back(new: Bench) -> None:
@@ -281,13 +279,6 @@ def test_an_inverse3_that_is_unplugged_in_a_run_is_said_and_comes_back(new: Benc
     assert "lists no Inverse3 049D" in new.trouble(device, 5)
     new.service.without = set()
     assert new.well_again(device, 5).x
-
-
-@pytest.mark.parametrize(("status", "cure"), [("calibrated", "grip on the base"), ("power_supply", "plug its power")])
-def test_an_inverse3_that_is_not_ready_says_what_to_do(new: Bench, status: str, cure: str) -> None:
-    new.service.status[status] = False
-    with pytest.raises(DeviceError, match=cure):
-        new.open()
 
 
 def test_a_service_that_is_started_again_is_found_again(new: Bench) -> None:
@@ -316,7 +307,7 @@ def test_letting_go_alone_finds_the_service_again(new: Bench) -> None:
     device = new.open()
     new.go(device, 5, (1.0, 0.0, 0.0))
     new.service.drop()
-    new.trouble(device, 3)
+    assert "closed the connection" in new.trouble(device, 3)
     for _ in range(400):
         new.now += 1e-3
         new.clock()
@@ -324,14 +315,7 @@ def test_letting_go_alone_finds_the_service_again(new: Bench) -> None:
             device.hold((0.0, 0.0, 0.0))
     new.clock()
     assert new.service.force["x"] == 0.0
-
-
-def test_a_connection_that_is_cut_is_made_anew(new: Bench) -> None:
-    device = new.open()
-    new.go(device, 5)
-    new.service.drop()
-    assert "closed the connection" in new.trouble(device, 3)
-    assert new.well_again(device).x
+    assert new.well_again(device).x, "and by another connection it reads again"
 
 
 def test_closing_lets_go(bench: Bench) -> None:
@@ -357,27 +341,22 @@ def test_who_has_measured_when_the_service_lets_go_needs_no_watchdog(new: Bench)
     assert device.deadline == 0.1
 
 
-def test_what_is_no_inverse_service_is_said() -> None:
-    with pytest.raises(DeviceError, match=r"cannot be reached \(Connection refused\)"):
-        Inverse3(scene(), "ws://127.0.0.1:9", clock=partial(next, count(0, 50_000_000)))
-
-
-@pytest.mark.parametrize(("url", "why"), [
+WRONG = (
     ("http://localhost:10001", "ws://HOST:PORT"), ("ws://", "ws://HOST:PORT"), ("localhost:10001", "ws://HOST:PORT"),
     ("ws://localhost:99999", "ws://HOST:PORT"), ("ws://localhost?speed=1", "no setting 'speed'"),
     ("ws://localhost?axes=xx", "each once"), ("ws://localhost?axes=x-", "each once"), ("ws://h?axes=", "each once"),
     ("ws://localhost?limit=0", "above 0"), ("ws://localhost?limit=nan", "above 0"), ("ws://h?limit=a", "numbers"),
     ("ws://localhost?origin=1,2", "three numbers"), ("ws://localhost?word=force", "vector or values"),
     ("ws://localhost?device=a%22b", "letters and digits"),
-])
-def test_an_address_that_cannot_be_meant_is_refused(url: str, why: str) -> None:
-    with pytest.raises(Refused, match=why):
-        settings_of(url)
+)
 
 
-def test_a_scene_of_more_axes_than_it_has_is_refused(new: Bench) -> None:
-    with pytest.raises(Refused, match="the scene has 3 axes that are places"):
-        new.open("?axes=xy")
+def test_an_address_that_cannot_be_meant_is_refused_and_one_where_nobody_listens_is_said() -> None:
+    for url, why in WRONG:
+        with pytest.raises(Refused, match=why):
+            settings_of(url)
+    with pytest.raises(DeviceError, match=r"cannot be reached \(Connection refused\)"):
+        Inverse3(scene(), "ws://127.0.0.1:9", clock=partial(next, count(0, 50_000_000)))
 
 
 class Flood:

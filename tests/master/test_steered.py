@@ -45,36 +45,28 @@ def felt(device: SteeredMaster, until: int, force: float = 0.0) -> list[tuple[fl
     return out
 
 
-# -- the filter -------------------------------------------------------------------------------------------------------
+# The filter
 
 
-@pytest.mark.parametrize("dt", [1e-6, 1e-3, 0.02, 0.1])
-def test_a_tick_of_the_filter_is_the_matrix_exponential_of_its_equation(dt: float) -> None:
+def test_a_tick_of_the_filter_and_many_are_the_matrix_exponential_of_its_equation() -> None:
     """r'' = omega^2 (p - r) - 2 omega r', for a target that stays where it is within the tick; by mpmath, 40 digits."""
     with mpmath.workdps(40):
         omega = mpmath.mpf(BANDWIDTH)
-        exact = mpmath.expm(mpmath.matrix([[0, 1], [-omega**2, -2 * omega]]) * mpmath.mpf(dt))
-        for r, w, p in ((0.0, 0.0, 0.01), (0.02, -0.3, 0.03), (-0.01, 0.8, 0.04)):
-            y = exact * mpmath.matrix([mpmath.mpf(r) - mpmath.mpf(p), w])
-            there, speed = following(dt).step([r], [w], [p])
-            assert there[0] == pytest.approx(float(y[0] + mpmath.mpf(p)), rel=1e-14, abs=1e-17)
-            assert speed[0] == pytest.approx(float(y[1]), rel=1e-12, abs=1e-15)
+        for dt, ticks in ((1e-6, 1), (1e-3, 1), (0.02, 1), (0.1, 1), (1e-3, 200)):
+            exact = mpmath.expm(mpmath.matrix([[0, 1], [-omega**2, -2 * omega]]) * mpmath.mpf(dt) * ticks)
+            for r, w, p in ((0.0, 0.0, 0.01), (0.02, -0.3, 0.03), (-0.01, 0.8, 0.04)):
+                y = exact * mpmath.matrix([mpmath.mpf(r) - mpmath.mpf(p), w])
+                there, speed = [r], [w]
+                for _ in range(ticks):
+                    there, speed = following(dt).step(there, speed, [p])
+                assert there[0] == pytest.approx(float(y[0] + mpmath.mpf(p)), rel=1e-14 * ticks, abs=1e-17 * ticks)
+                assert speed[0] == pytest.approx(float(y[1]), rel=1e-12 * ticks, abs=1e-15 * ticks)
 
 
-def test_many_ticks_of_the_filter_are_one_long_motion_of_its_equation() -> None:
-    def rate(_t: float, s: Any) -> list[float]:
-        return [s[1], BANDWIDTH**2 * (0.05 - s[0]) - 2.0 * BANDWIDTH * s[1]]
-
-    r, w, step = [0.0], [0.1], following(1e-3)
-    for _ in range(200):
-        r, w = step.step(r, w, [0.05])
-    end = solve_ivp(rate, (0.0, 0.2), (0.0, 0.1), method="DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
-    assert (r[0], w[0]) == pytest.approx(tuple(end), abs=1e-11)
-
-
+@settings(max_examples=50)
 @given(dt=st.sampled_from([1e-4, 1e-3, 1e-2, 0.05, 0.3]),
        targets=st.lists(st.tuples(*[st.floats(-10.0, 10.0)] * 3), min_size=1, max_size=20),
-       ticks=st.integers(1, 40))
+       ticks=st.integers(1, 20))
 def test_the_reference_never_goes_faster_than_a_metre_per_second(dt: float, targets: Any, ticks: int) -> None:
     step, r, w = following(dt), [0.0] * 3, [0.0] * 3
     for target in targets:
@@ -104,11 +96,12 @@ def test_what_is_too_fast_to_begin_with_falls_below_the_limit() -> None:
     assert abs(w[0]) <= MOST_SPEED
 
 
-# -- the device -------------------------------------------------------------------------------------------------------
+# The device
 
 
 def test_until_it_is_steered_it_is_the_simulated_master_to_the_bit() -> None:
-    plain, steered = SimulatedMaster(scene(), senses=True), SteeredMaster(scene())
+    assert SimulatedMaster(scene()).read(3).f is None
+    plain, steered = SimulatedMaster(scene(), senses=True), SteeredMaster(scene())  # whatever the law reads
     for k in range(700):
         assert steered.read(k) == plain.read(k)
         for device in (plain, steered):
@@ -121,7 +114,7 @@ def test_steered_it_moves_as_master_and_hand_do_under_the_filtered_reference() -
     device.hold((0.7,))
     device.steer([0.03])
     x, v, r, w = 0.0, 0.0, [0.0], [0.0]
-    for k in range(1, 60):
+    for k in range(1, 30):
         there, w = following(1e-3).step(r, w, [0.03])
         slope = (there[0] - r[0]) / 1e-3
 
@@ -145,11 +138,6 @@ def test_ticks_that_are_left_out_are_caught_up() -> None:
     assert some.read(379) == step[379]
 
 
-def test_the_force_of_the_hand_is_sensed_whatever_the_law_reads() -> None:
-    assert SimulatedMaster(scene()).read(3).f is None
-    assert SteeredMaster(scene()).read(3).f is not None
-
-
 ORDERS = {
     "steer": lambda device: device.steer([0.09]),
     "let go": lambda device: device.steer(None),
@@ -161,36 +149,33 @@ ORDERS = {
 }
 
 
-@pytest.mark.parametrize("first", ["own", "steered", "let go", "aligned"])
 @pytest.mark.parametrize("order", ORDERS)
-def test_no_order_makes_the_force_of_the_hand_or_its_reference_jump(first: str, order: str) -> None:
+def test_no_order_makes_the_force_of_the_hand_or_its_reference_jump(order: str) -> None:
     """From tick to tick the force changes by no more than the filter's own acceleration makes it.
 
     The reference's speed changes by at most (2 omega + omega) V dt = 0.18 m/s a tick where the handle is aligned, with
     omega = 60 rad/s; the force by the damper times that, by the spring at 1 m/s and by what the handle itself does.
     """
-    device = SteeredMaster(scene())
-    device.read(200)
-    {"own": lambda: None, "steered": lambda: device.steer([0.02]), "let go": lambda: device.steer(None),
-     "aligned": lambda: device.align([0.01])}[first]()
-    device.hold((2.0,))
-    device.read(201)
-    before = felt(device, 230, 2.0)
-    ORDERS[order](device)
-    seen = [*before, *felt(device, 400, 2.0)]
-    most = max(abs(b[0] - a[0]) for a, b in pairwise(seen))
-    bends = max(abs(c[0] - 2.0 * b[0] + a[0]) for a, b, c in zip(seen, seen[1:], seen[2:], strict=False))
-    force = max(abs(b[3] - a[3]) for a, b in pairwise(seen))
-    assert most <= MOST_SPEED * 1e-3 * 1.001
-    assert bends <= 3.0 * ALIGNING * 1e-3 * MOST_SPEED * 1e-3
-    assert force <= 0.6, "newtons; a jump of the reference by 1 mm makes it more than 1"
-
-
-def test_the_test_before_would_see_a_jump_of_a_millimetre() -> None:
-    device = SteeredMaster(scene())
-    before = felt(device, 230)[-1]
-    device._r = [device._r[0] + 1e-3]
-    assert abs(device.read(230).f[0] - before[3]) > 1.0  # type: ignore[index]
+    for first in ("own", "steered", "let go", "aligned"):
+        device = SteeredMaster(scene())
+        device.read(200)
+        if first in ("steered", "let go"):
+            device.steer([0.02] if first == "steered" else None)
+        elif first == "aligned":
+            device.align([0.01])
+        device.hold((2.0,))
+        device.read(201)
+        before = felt(device, 230, 2.0)
+        ORDERS[order](device)
+        seen = [*before, *felt(device, 400, 2.0)]
+        most = max(abs(b[0] - a[0]) for a, b in pairwise(seen))
+        bends = max(abs(c[0] - 2.0 * b[0] + a[0]) for a, b, c in zip(seen, seen[1:], seen[2:], strict=False))
+        force = max(abs(b[3] - a[3]) for a, b in pairwise(seen))
+        assert most <= MOST_SPEED * 1e-3 * 1.001, first
+        assert bends <= 3.0 * ALIGNING * 1e-3 * MOST_SPEED * 1e-3, first
+        assert force <= 0.6, (first, "newtons; a jump of the reference by 1 mm makes it more than 1")
+    device._r = [device._r[0] + 1e-3]  # which this test would see
+    assert abs(device.read(400).f[0] - seen[-1][3]) > 1.0  # type: ignore[index]
 
 
 def test_a_hand_that_lets_go_has_no_force_soon_and_drives_nothing() -> None:
@@ -205,7 +190,7 @@ def test_a_hand_that_lets_go_has_no_force_soon_and_drives_nothing() -> None:
     assert abs(seen[-1][3]) < 1e-5
 
 
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(k=st.floats(1.0, 5e3), d=st.floats(0.0, 50.0), mass=st.floats(0.05, 2.0), b=st.floats(0.0, 5.0),
        v=st.floats(-1.0, 1.0), off=st.floats(-0.02, 0.02))
 def test_let_go_in_any_motion_it_comes_to_rest(k: float, d: float, mass: float, b: float, v: float, off: float) -> None:
@@ -216,13 +201,13 @@ def test_let_go_in_any_motion_it_comes_to_rest(k: float, d: float, mass: float, 
     device.steer(None)
     least = 0.5 * mass * v * v + 0.5 * k * off * off
     energies = [0.5 * mass * got.v[0] ** 2 + 0.5 * k * (device._r[0] - got.x[0]) ** 2
-                for got in map(device.read, range(0, 60_000, 200))]
+                for got in map(device.read, range(0, 30_000, 200))]
     assert max(energies) <= 1.5 * least + 1e-12
     slow = 2.0 * mass * BANDWIDTH**2 / k  # of the slowest pole, about
-    assert energies[-1] <= max(0.01, exp(-60.0 / (slow + 1.0))) * least + 1e-12
+    assert energies[-1] <= max(0.01, exp(-30.0 / (slow + 1.0))) * least + 1e-12
 
 
-# -- aligning ---------------------------------------------------------------------------------------------------------
+# Aligning
 
 
 def test_it_brings_the_handle_to_the_place_and_says_when_it_is_there() -> None:
@@ -240,7 +225,7 @@ def test_it_brings_the_handle_to_the_place_and_says_when_it_is_there() -> None:
     assert device.read(5000).x[0] == pytest.approx(0.05, abs=1e-4), "the hand does again what the scene says"
 
 
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(k=st.floats(1.0, 5e4), ratio=st.floats(0.0, 2.0), mass=st.floats(0.05, 5.0), share=st.floats(0.0, 1.0))
 def test_an_alignment_feeds_no_swing_whatever_the_hand(k: float, ratio: float, mass: float, share: float) -> None:
     """The energy in masses and spring about the place does not grow from one second to the next."""
@@ -249,45 +234,36 @@ def test_an_alignment_feeds_no_swing_whatever_the_hand(k: float, ratio: float, m
         mass=mass, damping=(1.0 - share) * damping)))
     device._v = [0.2]
     device.align([0.01])
-    energies = [0.5 * mass * got.v[0] ** 2 + 0.5 * k * (0.01 - got.x[0]) ** 2 for got in map(device.read, range(4000))]
-    each = [max(energies[since:since + 1000]) for since in range(0, 4000, 1000)]
+    energies = [0.5 * mass * got.v[0] ** 2 + 0.5 * k * (0.01 - got.x[0]) ** 2 for got in map(device.read, range(3000))]
+    each = [max(energies[since:since + 1000]) for since in range(0, 3000, 1000)]
     assert all(after <= before * (1.0 + 1e-6) + 1e-15 for before, after in pairwise(each))
 
 
-@pytest.mark.parametrize("every", [1, 7])
-def test_an_alignment_that_does_not_come_to_an_end_is_over_after_its_time_in_ticks(every: int) -> None:
-    device = SteeredMaster(scene(hand=STILL))
-    device.align([0.05])
-    for k in range(0, 1700, every):
-        device.read(k)
-        device.hold((30.0,))  # which holds it back
-        assert device.aligned == (k >= round(ENOUGH * 1e3))
-
-
-def test_an_alignment_to_a_place_that_moves_on_has_no_more_time_for_that() -> None:
-    device = SteeredMaster(scene(hand=STILL))
-    for k in range(0, 1700, 20):
-        device.align([0.02 + 2e-4 * k])  # 0.2 m/s
-        device.read(k)
-        assert device.aligned == (k >= round(ENOUGH * 1e3))
+def test_an_alignment_that_does_not_come_to_an_end_is_over_after_its_time_in_ticks() -> None:
+    """Held back, or to a place that moves on at 0.2 m/s, which has no more time for that."""
+    for every, place, force in ((1, 0.0, 30.0), (7, 0.0, 30.0), (20, 2e-4, 0.0)):
+        device = SteeredMaster(scene(hand=STILL))
+        device.align([0.05])
+        for k in range(0, 1700, every):
+            if place:
+                device.align([0.02 + place * k])
+            device.read(k)
+            device.hold((force,))
+            assert device.aligned == (k >= round(ENOUGH * 1e3)), (every, k)
     assert device.read(1700).x[0] > 0.3, "it follows meanwhile"
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.01, 0.05])
-def test_a_place_that_moves_on_slowly_is_reached_in_time(speed: float) -> None:
+def test_a_place_that_moves_on_slowly_is_reached_in_time() -> None:
     """A slave that left the wall at 10 mm/s held up a turn until the time was over."""
-    device = SteeredMaster(scene(hand=HAND))
-    reached = None
-    for k in range(0, 1400, 16):
-        place = 0.02 - speed * 1e-3 * k
-        device.align([place])
-        x = device.read(k).x[0]
-        if device.aligned:
-            reached = k
-            break
-    assert reached is not None
-    assert reached < 600
-    assert abs(x - place) < 5e-4 + 0.1 * speed
+    for speed in (0.0, 0.01, 0.05):
+        device, k = SteeredMaster(scene(hand=HAND)), 0
+        while not device.aligned:
+            place = 0.02 - speed * 1e-3 * k
+            device.align([place])
+            x = device.read(k).x[0]
+            k += 16
+            assert k < 600, speed
+        assert abs(x - place) < 5e-4 + 0.1 * speed, speed
 
 
 def test_what_is_ordered_during_an_alignment_is_done_after_it() -> None:
@@ -300,7 +276,7 @@ def test_what_is_ordered_during_an_alignment_is_done_after_it() -> None:
     assert device.read(4000).x[0] == pytest.approx(0.07, abs=1e-4)
 
 
-# -- turning ----------------------------------------------------------------------------------------------------------
+# Turning
 
 
 def test_a_turn_keeps_place_speed_and_what_the_hand_was_told_to_the_bit() -> None:
@@ -328,34 +304,28 @@ def test_started_again_the_hand_moves_as_the_scene_says_from_its_start() -> None
     assert not device.aligned
 
 
-@pytest.mark.parametrize("to", [[0.1, 0.2], [], 0.1, "0", None, {"x": 1.0}])
-def test_a_place_with_other_axes_is_refused_with_one_that_is_right(to: Any) -> None:
-    device = SteeredMaster(scene())
-    if to is not None:
-        with pytest.raises(Refused, match=r"one number for each of 1 axis.*send for example \[0.03\]"):
-            device.steer(to)
-    with pytest.raises(Refused):
-        device.align([0.1, 0.2] if to is None else to)
-
-
-@pytest.mark.parametrize("to", [nan, inf, -inf, "x", None, True, 10.1, -1e300])
-def test_a_place_that_is_no_number_or_out_of_reach_is_refused_and_changes_nothing(to: Any) -> None:
+def test_a_place_with_other_axes_or_out_of_reach_is_refused_and_changes_nothing() -> None:
     device, other = SteeredMaster(scene()), SteeredMaster(scene())
+    axes = r"one number for each of 1 axis.*send for example \[0.03\]"
     for order in (device.steer, device.align):
-        with pytest.raises(Refused, match=r"to\[0\] must be|10 m from 0"):
-            order([to])
+        for wrong in ([0.1, 0.2], [], 0.1, "0", {"x": 1.0}):
+            with pytest.raises(Refused, match=axes):
+                order(wrong)  # type: ignore[operator]
+        for place in (nan, inf, -inf, "x", None, True, 10.1, -1e300):
+            with pytest.raises(Refused, match=r"to\[0\] must be|10 m from 0"):
+                order([place])  # type: ignore[operator]
     assert device.read(300) == other.read(300)
 
 
-@pytest.mark.parametrize("hand", [None, replace(HAND, k=0.0)], ids=["no hand", "no spring"])
-def test_a_scene_whose_hand_cannot_pull_is_refused_also_by_a_turn(hand: Any) -> None:
-    with pytest.raises(Refused, match="no hand with a spring"):
-        SteeredMaster(scene(hand=hand))
-    device, other = SteeredMaster(scene()), SteeredMaster(scene())
-    device.read(10)
-    with pytest.raises(Refused, match="no hand with a spring"):
-        device.turn(scene(hand=hand))
-    assert device.read(300) == other.read(300)
+def test_a_scene_whose_hand_cannot_pull_is_refused_also_by_a_turn() -> None:
+    for hand in (None, replace(HAND, k=0.0)):
+        with pytest.raises(Refused, match="no hand with a spring"):
+            SteeredMaster(scene(hand=hand))
+        device, other = SteeredMaster(scene()), SteeredMaster(scene())
+        device.read(10)
+        with pytest.raises(Refused, match="no hand with a spring"):
+            device.turn(scene(hand=hand))
+        assert device.read(300) == other.read(300)
 
 
 def test_in_three_axes_each_goes_its_own_way_and_all_together_at_most_at_the_limit() -> None:
@@ -372,30 +342,27 @@ def test_in_three_axes_each_goes_its_own_way_and_all_together_at_most_at_the_lim
     assert device.read(8000).x == pytest.approx((1.0, -2.0, 0.0), abs=1e-6)
 
 
-# -- open-ended -------------------------------------------------------------------------------------------------------
-
-
-class Counted:
-    """A reference without `first`, which counts the samples that were asked of it."""
-
-    def __init__(self) -> None:
-        self.asked = 0
-
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
-        self.asked += count
-        return tuple([[1e-6 * k for k in range(count)] for _ in range(axes)])
+# Open-ended
 
 
 def test_of_a_motion_that_cannot_be_sampled_as_it_goes_it_takes_a_minute() -> None:
-    reference = Counted()
-    device = SteeredMaster(scene(hand=replace(HAND, reference=reference)))
-    assert reference.asked == 60_000
+    asked: list[int] = []
+
+    class Whole:
+        """A reference without `first`."""
+
+        def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
+            asked.append(count)
+            return tuple([[1e-6 * k for k in range(count)] for _ in range(axes)])
+
+    device = SteeredMaster(scene(hand=replace(HAND, reference=Whole())))
+    assert asked == [60_000]
     device.read(61_000)
     assert device._r[0] == pytest.approx(0.06 - 1e-6, rel=1e-9)
     assert device._r == device._before, "it stays where it is"
 
 
-# -- its record -------------------------------------------------------------------------------------------------------
+# Its record
 
 
 def rows(path: Path, axes: int = 1) -> np.ndarray[Any, Any]:
@@ -446,8 +413,8 @@ def test_a_record_ends_where_the_hand_was_and_the_next_begins_where_it_is(tmp_pa
 def test_what_a_killed_process_leaves_of_it_is_all_but_the_last_few_rows(tmp_path: Path) -> None:
     device = SteeredMaster(scene())
     device.record(tmp_path)
-    device.read(1130)
-    assert len(rows(tmp_path / "hand.bin")) == 1120
+    device.read(330)
+    assert len(rows(tmp_path / "hand.bin")) == 320
 
 
 def test_a_full_disk_ends_the_record_and_not_the_motion(tmp_path: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,8 @@ import numpy as np
 import pytest
 
 from master.device import SimulatedMaster
-from slave.mujoco_robot import MuJoCoBody, MuJoCoRobot
+from slave.mujoco_model import OWN, load
+from slave.mujoco_robot import MuJoCoBody, MuJoCoRobot, pressed
 from teleop import MassDamper, Refused, Scene, load_scene, run
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
@@ -65,18 +68,18 @@ class TestTheArm:
             np.testing.assert_allclose(reading.v, 0.0, atol=1e-9)
             assert reading.f == (0.0, 0.0, 0.0)
 
-    @pytest.mark.parametrize("force", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.3, -0.4, 0.8)])
-    def test_a_force_at_its_end_accelerates_it_by_the_jacobian_of_its_joints(self, force: tuple[float, ...]) -> None:
+    def test_a_force_at_its_end_accelerates_it_by_the_jacobian_of_its_joints(self) -> None:
         """Of a model of the test's own, at rest: a = J M^-1 J^T f."""
-        model = mujoco.MjModel.from_xml_path(str(Path(sys.modules["slave.mujoco_model"].OWN)))
+        model = mujoco.MjModel.from_xml_path(str(OWN))
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, 0)
         mujoco.mj_forward(model, data)
         J, joints = np.zeros((3, model.nv)), np.zeros((1, model.nv))
         mujoco.mj_jacSite(model, data, J, None, model.site("end_effector").id)
-        mujoco.mj_solveM(model, data, joints, (J.T @ force)[None, :])
-        last = moved(MuJoCoRobot(scene(3)), [force])[-1]
-        np.testing.assert_allclose(last.v, 1e-3 * J @ joints[0], rtol=0.01, atol=1e-5)
+        for force in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.3, -0.4, 0.8)):
+            mujoco.mj_solveM(model, data, joints, (J.T @ force)[None, :])
+            last = moved(MuJoCoRobot(scene(3)), [force])[-1]
+            np.testing.assert_allclose(last.v, 1e-3 * J @ joints[0], rtol=0.01, atol=1e-5)
 
     def test_along_what_the_scene_has_no_axis_for_it_is_held(self) -> None:
         robot = MuJoCoRobot(scene(1))
@@ -124,13 +127,22 @@ class TestTheArm:
         forces = [(float(f), 0.5, -1.0) for f in np.sin(np.arange(400) / 30.0) * 8.0]
         assert moved(MuJoCoRobot(scene(3)), forces) == moved(MuJoCoRobot(scene(3)), forces)
 
-    def test_ticks_may_be_left_out(self) -> None:
+    def test_ticks_may_be_left_out_and_a_copy_of_a_state_goes_on_by_itself(self) -> None:
         one, other = MuJoCoRobot(scene(1)), MuJoCoRobot(scene(1))
         for robot in (one, other):
             robot.hold((0.5,))
         for k in range(10):
             one.read(k)
         assert one.read(20) == other.read(20)
+        body = MuJoCoBody(load(scene(3)))
+        apart = copy(body)
+        apart.hold((3.0, 0.0, 0.0))
+        for _ in range(50):
+            apart.step()
+        assert apart.read().x[0] > 1e-3
+        assert body.read().x == (0.0, 0.0, 0.0)
+        body.step()
+        assert body.read().x[0] == pytest.approx(0.0, abs=1e-12)
 
     def test_a_force_that_is_not_renewed_lapses(self) -> None:
         robot = MuJoCoRobot(scene(1))
@@ -145,12 +157,10 @@ HOME = (0.0, np.pi / 3.0, -2.0 * np.pi / 3.0)  # of the arm, rad
 
 
 class TestJoints:
-    def test_axes_of_their_names_begin_at_the_angles_that_the_scene_says(self) -> None:
+    def test_axes_of_their_names_begin_at_the_angles_that_the_scene_says_in_any_order_and_fewer(self) -> None:
         robot = MuJoCoRobot(scene(3, start_s=(0.1, 1.1, -2.3), **JOINTS))
         for reading in moved(robot, [(0.0, 0.0, 0.0)] * 200)[::100]:
             np.testing.assert_allclose(reading.x, (0.1, 1.1, -2.3), atol=1e-9)
-
-    def test_they_may_be_in_another_order_and_fewer(self) -> None:
         robot = MuJoCoRobot(scene(2, start_s=(-2.3, 0.1), names=("bend", "turn"), units=("rad", "rad")))
         assert robot.read(0).x == (-2.3, 0.1)
         last = moved(robot, [(0.0, 0.2)] * 20)[-1]
@@ -176,16 +186,15 @@ class TestJoints:
         assert np.abs(torque).max() > 1.0
         np.testing.assert_allclose(now.f, torque - 0.1 * np.array(now.v), atol=5e-3)
 
-    @pytest.mark.parametrize(("own", "says"), [
-        ({"names": ("turn", "wrist"), "units": ("rad", "rad")},
-         r"axes wrist are no joints of .* \(it has turn in rad, lift in rad, bend in rad\)"),
-        ({"names": ("turn", "lift")}, r"axis turn is in m, and the joint turn of .* is in rad; write units="),
-        ({"names": ("x", "turn"), "units": ("m", "rad")}, "axes x are no joints"),
-        ({"names": ("x", "y"), "units": ("m", "rad")}, "axis y is in rad"),
-    ])
-    def test_axes_that_are_not_its_own_are_refused(self, own: Any, says: str) -> None:
-        with pytest.raises(Refused, match=says):
-            MuJoCoRobot(scene(2, **own))
+    def test_axes_that_are_not_its_own_are_refused(self) -> None:
+        for names, units, says in (
+            (("turn", "wrist"), ("rad", "rad"),
+             r"axes wrist are no joints of .* \(it has turn in rad, lift in rad, bend in rad\)"),
+            (("turn", "lift"), (), r"axis turn is in m, and the joint turn of .* is in rad; write units="),
+            (("x", "turn"), ("m", "rad"), "axes x are no joints"), (("x", "y"), ("m", "rad"), "axis y is in rad"),
+        ):
+            with pytest.raises(Refused, match=says):
+                MuJoCoRobot(scene(2, names=names, units=units))
 
 
 class TestAModelOfOnesOwn:
@@ -211,26 +220,26 @@ class TestAModelOfOnesOwn:
         file = slider(tmp_path)
         assert [MuJoCoRobot(scene(1, dt=dt), file)._model.substeps for dt in (5e-4, 1e-3, 2e-3)] == [4, 4, 8]
 
-    @pytest.mark.parametrize(("file", "says"), [
-        ("nowhere.xml", r"there is no file .*nowhere\.xml; write --robot mujoco:FILE\.xml"),
-        ("broken.xml", r"broken\.xml does not load as an MJCF \(.*Line number=1.*\); mend it"),
-        ("slider.xml#hand", r"no site and no body of the name hand.*#NAME with one of its sites \(mark, end_effector\) "
-                            r"or bodies \(cart, ball\)"),
-        ("slider.xml#mark", "mark of .* is no end effector: no hinge, slide or ball"),
-        ("slider.xml#ball", "ball of .* is no end effector: no hinge, slide or ball moves it"),
-        ("quick.xml", "has a timestep of 1e-12 s, and a tick of 0.001 s has at most 1000 sub-steps; write one of"),
-        ("nowhere_home.xml", "the keyframe home of .* has a place that is not finite"),
-    ])
-    def test_what_cannot_be_a_robot_is_refused_in_one_sentence(self, file: str, says: str, tmp_path: Path) -> None:
+    def test_what_cannot_be_a_robot_is_refused_in_one_sentence(self, tmp_path: Path) -> None:
         slider(tmp_path)
         (tmp_path / "broken.xml").write_text("<mujoco><worldbody><body><joint/></worldbody></mujoco>")
         sound = (tmp_path / "slider.xml").read_text()
         (tmp_path / "quick.xml").write_text(sound.replace("0.00025", "1e-12"))
         (tmp_path / "nowhere_home.xml").write_text(sound.replace(
             "</mujoco>", '<keyframe><key name="home" qpos="nan 0 0 0 1 0 0 0"/></keyframe></mujoco>'))
-        with pytest.raises(Refused, match=says) as refused:
-            MuJoCoRobot(scene(1), str(tmp_path / file))
-        assert "\n" not in str(refused.value)
+        for file, says in (
+            ("nowhere.xml", r"there is no file .*nowhere\.xml; write --robot mujoco:FILE\.xml"),
+            ("broken.xml", r"broken\.xml does not load as an MJCF \(.*Line number=1.*\); mend it"),
+            ("slider.xml#hand", r"no site and no body of the name hand.*#NAME with one of its sites \(mark, "
+                                r"end_effector\) or bodies \(cart, ball\)"),
+            ("slider.xml#mark", "mark of .* is no end effector: no hinge, slide or ball"),
+            ("slider.xml#ball", "ball of .* is no end effector: no hinge, slide or ball moves it"),
+            ("quick.xml", "has a timestep of 1e-12 s, and a tick of 0.001 s has at most 1000 sub-steps; write one of"),
+            ("nowhere_home.xml", "the keyframe home of .* has a place that is not finite"),
+        ):
+            with pytest.raises(Refused, match=says) as refused:
+                MuJoCoRobot(scene(1), str(tmp_path / file))
+            assert "\n" not in str(refused.value)
 
     def test_one_that_becomes_unstable_is_a_run_that_diverged(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -252,29 +261,21 @@ def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         MuJoCoRobot(scene(1))
 
 
-class TestARunAgainstIt:
-    def test_waves_stay_passive_against_its_contact_and_forces_reflected_as_they_are_do_not(self) -> None:
-        """Worked out anew from places and forces: what both ends have taken up of law and link."""
-        put_in = {}
-        for law in (Wave(b=20.0, K=1000.0, B=20.0), Direct(K=500.0, B=10.0)):
-            ran = run_stepped(load_scene("arm", law=law, delay=0.1, duration=2.5),
-                              {"m": SimulatedMaster, "s": MuJoCoRobot})
-            t = ran.trace
-            assert np.abs(t["f_env"]).max() > 3.0
-            steps = [(t[f][:-1] * np.diff(t[x], axis=0)).sum(axis=1) for f, x in (("f_m", "x_m"), ("f_s", "x_s"))]
-            put_in[type(law)] = np.cumsum(steps[0] - steps[1])
-        assert put_in[Wave].min() > -1e-9
-        assert put_in[Direct].min() < -0.01
-
-    def test_it_has_the_same_bits_each_time_and_tells_its_stiffness(self) -> None:
-        of = load_scene("arm", link="delay(0.02) | uniform(0.01) | bernoulli(0.05)", duration=1.6)
-        one, other = (run_stepped(of, {"m": SimulatedMaster, "s": MuJoCoRobot}, seed=7) for _ in range(2))
-        assert list(one.trace) == list(other.trace)
-        for name, column in one.trace.items():
-            assert column.tobytes() == other.trace[name].tobytes(), name
-        assert one.metrics == other.metrics
-        assert [note for note in one.notes if note.startswith("pressed slowly before the run along +x")]
-        assert {"f_err_rms", "f_env_max", "E_link_min"} <= one.metrics.keys()
+@pytest.mark.usefixtures("pressing")
+def test_waves_stay_passive_against_its_contact_and_forces_reflected_as_they_are_do_not() -> None:
+    """Worked out anew from places and forces: what both ends have taken up of law and link. It tells its stiffness."""
+    put_in = {}
+    for law in (Wave(b=20.0, K=1000.0, B=20.0), Direct(K=500.0, B=10.0)):
+        ran = run_stepped(load_scene("arm", law=law, delay=0.1, duration=2.5),
+                          {"m": SimulatedMaster, "s": MuJoCoRobot})
+        t = ran.trace
+        assert np.abs(t["f_env"]).max() > 3.0
+        steps = [(t[f][:-1] * np.diff(t[x], axis=0)).sum(axis=1) for f, x in (("f_m", "x_m"), ("f_s", "x_s"))]
+        put_in[type(law)] = np.cumsum(steps[0] - steps[1])
+        assert [note for note in ran.notes if note.startswith("pressed slowly before the run along +x")]
+        assert {"f_err_rms", "f_env_max"} <= ran.metrics.keys()
+    assert put_in[Wave].min() > -1e-9
+    assert put_in[Direct].min() < -0.01
 
 
 def test_six_joints_in_mujoco_move_as_the_bodies_that_are_stepped_exactly(tmp_path: Path) -> None:
@@ -300,17 +301,42 @@ def test_it_is_a_robot_as_check_device_asks_for() -> None:
     assert min(found.moved) > 1e-3
 
 
-def test_a_copy_of_a_state_goes_on_by_itself() -> None:
-    from copy import copy
+# The stiffness of a contact, as it is told before a run, is what a press of the test's own finds
 
-    from slave.mujoco_model import load
 
+def told(file: str | None = None, axes: int = 3) -> tuple[str, list[float]]:
+    """The sentence, and the two stiffnesses in it, N/m."""
+    model = load(scene(axes), file)
+    text = pressed(model, copy(MuJoCoBody(model)))[0]
+    return text, [float(each.replace(",", "")) for each in re.findall(r"([\d,]+) N/m at", text)]
+
+
+def depth(force: float) -> float:
+    """How far the arm stands along x when it has long been pushed by `force` alone, m."""
     body = MuJoCoBody(load(scene(3)))
-    other = copy(body)
-    other.hold((3.0, 0.0, 0.0))
-    for _ in range(50):
-        other.step()
-    assert other.read().x[0] > 1e-3
-    assert body.read().x == (0.0, 0.0, 0.0)
-    body.step()
-    assert body.read().x[0] == pytest.approx(0.0, abs=1e-12)
+    body.hold((force, 0.0, 0.0))
+    for _ in range(6000):
+        body.step()
+    return body.read().x[0]
+
+
+def test_a_stiffness_is_the_slope_of_force_over_depth_at_two_forces_and_goes_with_the_files_contact(
+    tmp_path: Path
+) -> None:
+    """MuJoCo's stiffness goes as the time constant of a contact, here 0.02 s, to the power -2."""
+    text, found = told()
+    assert "along +x" in text
+    for force, stiffness in zip((2.0, 10.0), found, strict=True):
+        part = 0.2 * force
+        assert stiffness == pytest.approx(2.0 * part / (depth(force + part) - depth(force - part)), rel=0.02)
+    assert found[1] > 1.3 * found[0]  # not linear
+    for time, low, high in ((0.04, 0.2, 0.5), (0.01, 2.0, 5.0)):
+        other = tmp_path / "other.xml"
+        other.write_text(OWN.read_text().replace('<geom contype="1"', f'<geom solref="{time} 1" contype="1"'))
+        assert all(low < one / usual < high for one, usual in zip(told(str(other))[1], found, strict=True)), time
+
+
+def test_that_there_is_nothing_to_touch_is_told(tmp_path: Path) -> None:
+    text, found = told(slider(tmp_path), axes=1)
+    assert found == []
+    assert "came upon nothing within 0.2 m of its start" in text
