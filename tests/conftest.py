@@ -31,7 +31,7 @@ TIMED = (
 )
 
 STAND_INS = "tests/live/page/"
-REAL = ("test_real.py", "test_drag_again.py", "test_page_demo.py")  # of these files there: with the ends of a run
+REAL = ("test_real.py", "test_page_demo.py")  # of these files there: with the ends of a run
 
 settings.register_profile(
     "suite", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, database=None,

@@ -69,7 +69,7 @@ class Served:
     async def open(self, **other: Any) -> AsyncIterator[Browser]:
         """A page in a browser."""
         async with connect(f"ws://{self.host}/ws?token={TOKEN}", origin=Origin(f"http://{self.host}"),
-                           proxy=None, **other) as socket:
+                           proxy=None, open_timeout=PATIENCE, ping_interval=None, **other) as socket:
             yield Browser(socket)
 
     def orders(self, name: str) -> list[dict[str, Any]]:

@@ -40,7 +40,8 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("teleop.live.page.page.SOON", 0.0)
 
 
-def test_a_channel_that_is_killed_comes_back_and_the_master_is_brought_to_the_slave(served: Serve) -> None:
+def test_what_is_killed_comes_back_the_channel_in_a_turn_and_an_end_in_a_part_of_its_own(served: Serve) -> None:
+    """After the channel the master is brought to the slave; after an end the law is what it was."""
     async def scenario(page: Served) -> None:
         async with page.open() as browser:
             await browser.until("rows")
@@ -50,32 +51,24 @@ def test_a_channel_that_is_killed_comes_back_and_the_master_is_brought_to_the_sl
             await browser.told("switched")
             await browser.until("status", lambda status: status["lost"] is None)
             await browser.until("rows")
-        [order] = page.orders("master")
-        assert (order["order"], order["again"], order["align"]) == ("turn", False, [0.0])
-
-    first, second = served(scenario).index()["parts"]
-    assert (second["why"], second["knobs"]) == ("turn", first["knobs"])
-
-
-@pytest.mark.parametrize("name", ["master", "slave"])
-def test_an_end_that_is_killed_begins_a_part_of_its_own(served: Serve, name: str) -> None:
-    async def scenario(page: Served) -> None:
-        async with page.open() as browser:
-            await browser.until("rows")
+            [order] = page.orders("master")
+            assert (order["order"], order["again"], order["align"]) == ("turn", False, [0.0])
             await browser.say("turn", law="direct")
             await browser.told("switched")
-            kill(name)
-            await browser.told(f"the {name} is lost")
-            hello = await browser.until("hello", lambda hello: hello["state"] != "lost")
-            assert hello["law"] == "direct"
-            await browser.told("are back")
-            before = browser.got[-1]
-            after = await browser.until("rows")
-            assert after is not before
+            for name in ("master", "slave"):
+                kill(name)
+                await browser.told(f"the {name} is lost")
+                hello = await browser.until("hello", lambda hello: hello["state"] != "lost")
+                assert hello["law"] == "direct"
+                await browser.told("are back")
+                before = browser.got[-1]
+                after = await browser.until("rows")
+                assert after is not before
 
     parts = served(scenario).index()["parts"]
-    assert [part["why"] for part in parts] == ["start", "turn", "lost"]
-    assert parts[2]["knobs"] == parts[1]["knobs"]
+    assert [part["why"] for part in parts] == ["start", "turn", "turn", "lost", "lost"]
+    assert parts[1]["knobs"] == parts[0]["knobs"]
+    assert parts[4]["knobs"] == parts[3]["knobs"] == parts[2]["knobs"]
 
 
 def test_a_hand_that_is_held_holds_again_after_an_end_was_lost(served: Serve) -> None:
@@ -97,51 +90,35 @@ def test_a_hand_that_is_held_holds_again_after_an_end_was_lost(served: Serve) ->
     assert len(served(scenario).index()["parts"]) == 2
 
 
-def test_a_law_is_judged_anew_after_a_turn(served: Serve) -> None:
+def test_a_law_is_judged_anew_after_a_turn_and_a_turn_is_no_warning_and_on_a_full_disk_refused(
+    served: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The next law shook too, and nothing was said of it, since the one before had shaken."""
-    async def scenario(page: Served) -> None:
-        async with page.open() as browser:
-            await browser.until("rows")
-            page.page._shaking.shakes = True
-            page.page._shaking.sentence = lambda *_: None  # type: ignore[method-assign]  # in place of the rule
-            await browser.until("status", lambda status: status["shakes"])
-            await browser.say("turn", law="direct")
-            await browser.told("switched")
-            await browser.until("status", lambda status: not status["shakes"])
-
-    served(scenario)
-
-
-def test_a_turn_of_which_an_end_hears_from_the_other_first_is_no_warning(served: Serve) -> None:
-    async def scenario(page: Served) -> None:
-        async with page.open() as browser:
-            await browser.until("rows")
-            for cause, why in ((Cause.ORDERED, "the session is over: a turn"),
-                               (Cause.SILENCE, "silence: no fresh packet for 0.2 s")):
-                page.page._hear("master", {"event": "event", "end": "m", "k": 1, "what": "safe", "why": why,
-                                           "cause": cause.name})
-            await browser.told("silence")
-            assert [message["text"] for message in browser.got if message["type"] == "said"] == [
-                "the master: the force is on its way to zero, silence: no fresh packet for 0.2 s"]
-
-    served(scenario)
-
-
-def test_a_turn_on_a_full_disk_is_refused_and_the_page_goes_on(served: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(ENOSPC, "No space left on device")
 
     async def scenario(page: Served) -> None:
         async with page.open() as browser:
             await browser.until("rows")
+            for cause, why in ((Cause.ORDERED, "the session is over: a turn"),  # of which it hears from the other first
+                               (Cause.SILENCE, "silence: no fresh packet for 0.2 s")):
+                page.page._hear("master", {"event": "event", "end": "m", "k": 1, "what": "safe", "why": why,
+                                           "cause": cause.name})
+            await browser.told("silence")
+            assert [message["text"] for message in browser.got if message["type"] == "said"] == [
+                "the master: the force is on its way to zero, silence: no fresh packet for 0.2 s"]
             with monkeypatch.context() as disk:
                 disk.setattr("teleop.live.page.session.write_document", full)
                 await browser.say("turn", law="direct")
                 assert "No space left" in (await browser.told("not switched"))["text"]
                 assert (await browser.until("hello"))["law"] == "wave"
                 await browser.until("rows")
+            page.page._shaking.shakes = True
+            page.page._shaking.sentence = lambda *_: None  # type: ignore[method-assign]  # in place of the rule
+            await browser.until("status", lambda status: status["shakes"])
             await browser.say("turn", law="pp")
             await browser.told("switched: law pp")
+            await browser.until("status", lambda status: not status["shakes"])
 
     assert [part["folder"] for part in served(scenario).index()["parts"]] == ["01", "02"]
 
@@ -159,6 +136,8 @@ def test_an_end_that_stands_still_is_told_of_and_that_it_goes_on(served: Serve) 
             await browser.told("the slave goes on")
 
     served(scenario)
+    with pytest.raises(pytest.fail.Exception, match="there is no master"):
+        kill("master")  # in the end all have left
 
 
 def test_what_is_lost_again_at_once_waits_for_a_person(served: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,7 +160,7 @@ def test_what_is_lost_again_at_once_waits_for_a_person(served: Serve, monkeypatc
     served(scenario)
 
 
-@pytest.mark.parametrize("name", ["master", "slave", "channel"])
+@pytest.mark.parametrize("name", [pytest.param("master", marks=pytest.mark.full), "slave", "channel"])
 def test_a_turn_that_one_of_the_three_refuses_leaves_them_as_they_were(
     served: Serve, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -222,13 +201,3 @@ def test_children_that_do_not_come_up_end_it_with_their_sentence(
 
     with pytest.raises(Refused, match="the fake never comes up"):
         served(scenario)
-
-
-def test_in_the_end_all_have_left(served: Serve) -> None:
-    async def scenario(page: Served) -> None:
-        async with page.open() as browser:
-            await browser.until("rows")
-
-    served(scenario)
-    with pytest.raises(pytest.fail.Exception, match="there is no master"):
-        kill("master")

@@ -23,7 +23,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def server() -> Iterator[Callable[..., Mock]]:
-    """`server(axes=1, port=0)`: a mock, stopped when the test is over."""
+    """`server(axes=1, port=0, ran=3.1)`: a mock, stopped when the test is over."""
     started: list[Mock] = []
 
     def start(**given: Any) -> Mock:

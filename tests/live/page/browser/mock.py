@@ -16,7 +16,6 @@ import time
 from collections import deque
 from contextlib import suppress
 from http import HTTPStatus
-from math import sqrt
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ SLIDERS = [
     {"name": "loss", "label": "Loss", "unit": "", "low": 0.0, "high": 0.5, "log": False},
     {"name": "k_e", "label": "Wall stiffness", "unit": "N/m", "low": 50.0, "high": 1e5, "log": True},
 ]
-DT, F_MAX, WALL, B = 1e-3, 20.0, 0.03, 20.0
+DT, F_MAX, WALL = 1e-3, 20.0, 0.03
 
 
 def policy(page: str) -> str:
@@ -50,67 +49,36 @@ def policy(page: str) -> str:
 
 
 class World:
-    """A hand, a master, a link with delay and a slave that meets a wall in its first axis; all else is as without."""
+    """A hand, the master in it, and a slave that follows a delay later and meets a soft wall in its first axis."""
 
     def __init__(self, axes: int, knobs: dict[str, Any]) -> None:
         self.axes, self.knobs, self.t, self.clutch = axes, knobs, 0.0, False
-        self.target: list[float] | None = None
-        self.steered = False
         self.again()
 
     def again(self) -> None:
-        n = self.axes
-        self.since = 0.0
-        self.xm, self.vm, self.xs, self.vs = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
-        self.ref, self.refv, self.desired = [0.0] * n, [0.0] * n, [0.0] * n
-        self.steered, self.target = False, None
-        self.fm, self.fs, self.fe = [0.0] * n, [0.0] * n, [0.0] * n
+        self.since, self.steered = 0.0, False
+        self.target: list[float] | None = None
+        self.xm, self.xs, self.fm, self.fe = ([0.0] * self.axes for _ in range(4))
         self.settle()
 
     def settle(self) -> None:
         """Fill the link with rest."""
-        late = max(1, round(self.knobs["delay"] / DT))
-        self.fwd = deque([[0.0] * self.axes] * late)
-        self.bwd = deque([[0.0] * self.axes] * late)
-        self.energy = 0.0
+        self.link = deque([[*self.xm]] * max(1, round(self.knobs["delay"] / DT)))
 
     def step(self) -> None:
         self.t += DT
         self.since += DT
         s = min(1.0, max(0.0, (self.since - 0.5) / 1.5))
-        own = 0.06 * s**3 * (10 - 15 * s + 6 * s * s)
-        to, back, wave = self.fwd.popleft(), self.bwd.popleft(), self.knobs["law"] != "direct"
-        out, answer = [0.0] * self.axes, [0.0] * self.axes
+        own, late = 0.06 * s**3 * (10 - 15 * s + 6 * s * s), self.link.popleft()
         for i in range(self.axes):
             goal = own if i == 0 else 0.0
             if self.steered:
                 goal = self.xm[i] if self.target is None else self.target[i]
-            a = 900 * (goal - self.ref[i]) - 60 * self.refv[i]
-            self.refv[i] = max(-1.0, min(1.0, self.refv[i] + a * DT))
-            self.ref[i] += self.refv[i] * DT
-            f = B * self.vm[i] - sqrt(2 * B) * back[i] if wave else back[i]
-            f = 0.0 if self.clutch else max(-F_MAX, min(F_MAX, f))
-            pull = 200 * (self.ref[i] - self.xm[i]) + 5 * (self.refv[i] - self.vm[i])
-            self.vm[i] += (pull - f - 0.5 * self.vm[i]) / 0.5 * DT
-            self.xm[i] += self.vm[i] * DT
-            self.fm[i] = f
-            out[i] = (B * self.vm[i] + f) / sqrt(2 * B) if wave else self.xm[i]
-            if wave:
-                fs = (1000 * (self.desired[i] - self.xs[i]) + 20 * (sqrt(2 / B) * to[i] - self.vs[i])) / 2
-                self.desired[i] += (sqrt(2 / B) * to[i] - fs / B) * DT
-                answer[i] = to[i] - sqrt(2 / B) * fs
-                self.energy += 0.5 * (out[i] ** 2 - back[i] ** 2 + answer[i] ** 2 - to[i] ** 2) * DT
-            else:
-                self.desired[i] = to[i]
-                fs = 1000 * (to[i] - self.xs[i]) - 20 * self.vs[i]
-                answer[i] = self.fe[i]
-            deep = self.xs[i] - WALL if i == 0 else -1.0
-            self.fe[i] = max(0.0, self.knobs["k_e"] * deep + 10 * self.vs[i]) if deep > 0 else 0.0
-            self.vs[i] += (fs - self.fe[i] - self.vs[i]) / 0.5 * DT
-            self.xs[i] += self.vs[i] * DT
-            self.fs[i] = fs
-        self.fwd.append(out)
-        self.bwd.append(answer)
+            self.xm[i] += 30.0 * (goal - self.xm[i]) * DT
+            self.xs[i] = late[i] if i > 0 or late[i] < WALL else WALL + 0.02 * (late[i] - WALL)
+            self.fe[i] = 200.0 * (late[i] - self.xs[i])
+            self.fm[i] = 0.0 if self.clutch else max(-F_MAX, min(F_MAX, 200.0 * (self.xm[i] - self.xs[i])))
+        self.link.append([*self.xm])
 
     def rows(self) -> dict[str, Any]:
         """The row of a sixtieth of a second."""
@@ -120,17 +88,21 @@ class World:
             forces.append([*self.fm])
         lo, hi = [*map(min, zip(*forces, strict=True))], [*map(max, zip(*forces, strict=True))]
         delay = max(DT, self.knobs["delay"]) + random.random() * self.knobs["jitter"]
-        hand = None if self.steered and self.target is None else list(self.ref)
-        return {"t": self.t, "xm": [*self.xm], "xs": [*self.xs], "hand": hand, "fm": [*self.fm], "fs": [*self.fs],
-                "fh": [0.0] * self.axes, "fe": [*self.fe], "fm_lo": lo, "fm_hi": hi,
-                "fs_lo": [*self.fs], "fs_hi": [*self.fs], "E": None if self.clutch else self.energy,
+        hand = None if self.steered and self.target is None else [*self.xm]
+        fe = [*self.fe]
+        return {"t": self.t, "xm": [*self.xm], "xs": [*self.xs], "hand": hand, "fm": [*self.fm], "fs": fe,
+                "fh": [0.0] * self.axes, "fe": fe, "fm_lo": lo, "fm_hi": hi, "fs_lo": fe, "fs_hi": fe,
+                "E": None if self.clutch else 1e-3 * self.t,
                 "queue": [self.knobs["jitter"], self.knobs["jitter"] / 2], "age": [delay, delay], "gain": [1.0, 1.0]}
 
 
 class Mock:
-    """The server of one page address, `url`; its scene runs in a thread until `stop`."""
+    """The server of one page address, `url`; its scene runs in a thread until `stop`, and has run for `ran` s before.
 
-    def __init__(self, axes: int = 1, port: int = 0) -> None:
+    By then the scene's own motion is over.
+    """
+
+    def __init__(self, axes: int = 1, port: int = 0, ran: float = 3.1) -> None:
         self.knobs: dict[str, Any] = {"law": "wave", "delay": 0.05, "jitter": 0.0, "loss": 0.0, "k_e": 2e4}
         self.world, self.heard, self.past = World(axes, self.knobs), [], deque(maxlen=600)
         well = {"gain": 1.0, "cause": None}
@@ -139,6 +111,8 @@ class Mock:
         self.parts, self.lock, self.over = 1, threading.RLock(), threading.Event()
         self.energy: str | None = "link"
         self.silent = False  # it stands still, with its sockets open
+        while self.world.t < ran:
+            self.past.append(self.world.rows())
         self.page = PAGE.read_text()
         self.server: Server = serve(self._client, "127.0.0.1", port, process_request=self._request,
                                     open_timeout=2, close_timeout=0.2)

@@ -18,11 +18,11 @@ def labels(page: Page) -> list[str]:
     return [" ".join(one.split()) for one in got]
 
 
-def test_the_sliders_have_their_names_values_and_units(page: Page) -> None:
+def test_a_slider_asks_for_one_turn_when_it_rests_by_keyboard_and_by_mouse_on_a_logarithmic_scale(
+    mock: Mock, page: Page, tab: Callable[..., Page]
+) -> None:
+    """And a turn on one page shows on the other."""
     assert labels(page) == ["Delay, each way 50 ms", "Jitter 0 ms", "Loss 0 %", "Wall stiffness 20 kN/m"]
-
-
-def test_a_slider_by_keyboard_asks_for_one_turn_when_it_rests(mock: Mock, page: Page) -> None:
     page.evaluate("document.getElementById('k_delay').focus()")
     for _ in range(10):
         page.key("ArrowRight")
@@ -31,17 +31,19 @@ def test_a_slider_by_keyboard_asks_for_one_turn_when_it_rests(mock: Mock, page: 
     assert mock.of("turn") == [{"type": "turn", "delay": 0.065}]
     assert labels(page)[0] == "Delay, each way 65 ms"
     assert page.evaluate("document.getElementById('k_delay').getAttribute('aria-valuetext')") == "65 ms"
-
-
-def test_a_slider_by_mouse_goes_on_a_logarithmic_scale(mock: Mock, page: Page) -> None:
     x, y = page.place("#k_k_e")
     page.mouse("mousePressed", x, y)
     page.mouse("mouseReleased", x, y)
-    until(lambda: mock.of("turn"))
-    assert mock.of("turn")[0]["k_e"] == pytest.approx((50 * 1e5) ** 0.5, rel=0.05)  # the middle of 50 and 1e5
+    until(lambda: len(mock.of("turn")) == 2)
+    assert mock.of("turn")[1]["k_e"] == pytest.approx((50 * 1e5) ** 0.5, rel=0.05)  # the middle of 50 and 1e5
+    other = tab(mock.url)
+    other.evaluate("document.getElementById('k_loss').focus()")
+    other.key("ArrowRight")
+    page.until("document.getElementById('k_loss').getAttribute('aria-valuetext') !== '0 %'")
+    assert labels(page) == labels(other)
 
 
-def test_a_law_is_switched_on_the_running_system(mock: Mock, page: Page) -> None:
+def test_a_law_is_switched_on_the_running_system_and_what_shakes_is_called_so(mock: Mock, page: Page) -> None:
     assert page.text("#says") == LAWS["wave"]
     page.evaluate("document.getElementById('law').focus()")
     page.key("ArrowUp")
@@ -51,32 +53,23 @@ def test_a_law_is_switched_on_the_running_system(mock: Mock, page: Page) -> None
     page.until("document.getElementById('said').textContent.includes('a new session')")
     assert page.evaluate("document.getElementById('said').getAttribute('aria-live')") == "polite"
     page.until("rows.some(one => one.mark)")  # a line in the strips
-
-
-def test_an_open_clutch_was_said_to_be_a_scene_that_keeps_no_energy(page: Page) -> None:
-    page.until("document.querySelector('#energy + span').textContent.endsWith('J')")
-    page.evaluate("socket.send(JSON.stringify({type: 'clutch', open: true}))")
-    page.until("rows.at(-1).E === null")
-    page.until("document.querySelector('#energy + span').textContent === '\u2013'")
-
-
-def test_what_shakes_is_called_so(page: Page) -> None:
     page.evaluate("socket.send(JSON.stringify({type: 'turn', law: 'direct', delay: .2}))")
     page.until("document.getElementById('said').className === 'warn'")
     assert "The swing grows" in page.text("#said")
     assert page.evaluate("getComputedStyle(document.getElementById('said')).fontWeight") == "600"
-    page.until("row.fm_hi[0] - row.fm_lo[0] > 1")
-
-
-def test_a_turn_on_one_page_shows_on_the_other(mock: Mock, page: Page, tab: Callable[..., Page]) -> None:
-    other = tab(mock.url)
-    other.evaluate("document.getElementById('k_loss').focus()")
-    other.key("ArrowRight")
-    page.until("document.getElementById('k_loss').getAttribute('aria-valuetext') !== '0 %'")
-    assert labels(page) == labels(other)
-
-
-def test_a_law_that_is_not_in_the_list_is_shown_nevertheless(mock: Mock, page: Page) -> None:
-    mock.send({**mock.hello(), "law": "deadband(0.1) | wave"})
+    mock.send({**mock.hello(), "law": "deadband(0.1) | wave"})  # one that is not in the list
     page.until("document.getElementById('law').value === 'deadband(0.1) | wave'")
     assert page.evaluate("document.getElementById('law').options.length") == 3
+
+
+def test_an_open_clutch_was_said_to_be_a_scene_that_keeps_no_energy(mock: Mock, page: Page) -> None:
+    of_none = "(row.E = null, rescale(), document.querySelectorAll('figure')[2].querySelector('span').textContent)"
+    page.until("document.querySelector('#energy + span').textContent.endsWith('J')")
+    page.evaluate("socket.send(JSON.stringify({type: 'clutch', open: true}))")
+    page.until("rows.at(-1).E === null")
+    page.until("document.querySelector('#energy + span').textContent === '\u2013'")
+    assert page.evaluate(of_none) == "\u2013"
+    mock.energy = None
+    mock.send(mock.hello())
+    page.until("hello.energy === null")
+    assert page.evaluate(of_none) == "not kept in this scene"
