@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
+import pytest
 
 from channel.effect import Effect
 from channel.rng import Ints, Rng
@@ -22,6 +23,15 @@ from teleop.protocol.endpoint import Reading
 
 if TYPE_CHECKING:
     from teleop.live.net.wire import Wire
+
+def usually(names: str, cases: Iterable[Any], *usual: Any) -> pytest.MarkDecorator:
+    """Parametrize `names` by the cases: those among `usual` run in every suite, the others with `-m full` alone."""
+    values = [case if "," in names else (case,) for case in cases]
+    named = [case if "," in names else (case,) for case in usual]
+    assert all(case in values for case in named), "each is one of the cases"
+    return pytest.mark.parametrize(names, [
+        pytest.param(*case, marks=[] if case in named else pytest.mark.full) for case in values])
+
 
 def raising(error: BaseException, after: int = 0) -> Callable[..., Any]:
     """A function of any arguments that returns its last one `after` times, and raises `error` from then on."""

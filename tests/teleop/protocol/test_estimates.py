@@ -14,6 +14,7 @@ from teleop.laws.direct import Direct
 from teleop.protocol.estimates import FEWEST, MOST_RTT_NS, LinkEstimates, PeerClock, Times
 from teleop.scene.playout import Fixed, Zero
 from teleop.scene.scene import Scene
+from tests.fakes import usually
 from tests.teleop.protocol.virtual_clock import MS, Clock, S, World, healing
 
 BAND = MS // 2
@@ -87,8 +88,7 @@ def test_a_new_session_goes_on_with_the_figures_and_begins_its_numbers_and_its_c
 # The peer's clock
 
 
-@pytest.mark.parametrize("offset", [0, 3 * S, -(10**15)])
-@pytest.mark.parametrize("ppm", [0.0, 20.0, 200.0, -200.0, -450.0])
+@pytest.mark.parametrize(("offset", "ppm"), [(0, 0.0), (3 * S, 200.0), (-(10**15), -450.0)])
 def test_the_drift_is_found_and_the_shift_follows_it(ppm: float, offset: int) -> None:
     clock = watched(Clock(offset, ppm), 60.0, lambda _i: (10 * MS, 10 * MS))
     assert clock.drift == pytest.approx(ppm * 1e-6, abs=1e-7)
@@ -98,8 +98,7 @@ def test_the_drift_is_found_and_the_shift_follows_it(ppm: float, offset: int) ->
     assert back.drift == pytest.approx(ppm * 1e-6, abs=1e-7), "whatever the ways, as long as they stay"
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("ppm", [0.0, 200.0, -200.0])
+@usually("ppm, seed", [(ppm, seed) for ppm in (0.0, 200.0, -200.0) for seed in range(4)], (0.0, 0), (-200.0, 1))
 def test_a_drift_is_seen_through_jitter_too(ppm: float, seed: int) -> None:
     dice = Random(seed)
     clock = watched(Clock(5, ppm), 100.0, lambda _i: (dice.randrange(10, 30) * MS, dice.randrange(10 * MS, 30 * MS)))
@@ -107,9 +106,9 @@ def test_a_drift_is_seen_through_jitter_too(ppm: float, seed: int) -> None:
     assert abs(clock.shift_ns - 99 * ppm * 1e3) < 3 * MS
 
 
-@pytest.mark.parametrize("ppm", [0.0, 100.0])
-@pytest.mark.parametrize("step", [40, -15])
-@pytest.mark.parametrize("there", [True, False])
+@usually("step, ppm, there", [(step, ppm, there)
+         for step in (40, -15) for ppm in (0.0, 100.0) for there in (True, False)],
+         (40, 100.0, True), (-15, 0.0, False))
 def test_a_way_that_changes_for_good_is_not_taken_for_a_clock(step: int, ppm: float, there: bool) -> None:
     dice = Random(1)
     for until in (5.0, 25.0, 62.0):  # soon after, and when the new way is the usual one
@@ -161,13 +160,17 @@ def slow(**other: Any) -> Scene:
     return healing(Direct(K=200.0, B=5.0), dt=0.02, duration=700.0, **other)
 
 
-@pytest.mark.parametrize(("ppm", "playout", "jitter", "noise"), [
-    ({"m": -100.0, "s": 100.0}, Zero(), 0, MS // 10), ({"m": 200.0}, Fixed(0.08), 20 * MS, 0),
+@pytest.mark.parametrize(("ppm", "playout", "jitter", "noise", "minutes"), [
+    ({"m": -200.0, "s": 200.0}, Zero(), 0, MS // 10, 2), ({"m": 400.0}, Fixed(0.08), 20 * MS, 0, 2),
+    pytest.param({"m": -100.0, "s": 100.0}, Zero(), 0, MS // 10, 10, marks=pytest.mark.full),
+    pytest.param({"m": 200.0}, Fixed(0.08), 20 * MS, 0, 10, marks=pytest.mark.full),
 ])
-def test_ten_minutes_of_200_ppm_are_a_tick_or_two(ppm: dict[str, float], playout: Any, jitter: int, noise: int) -> None:
+def test_minutes_of_hundreds_of_ppm_are_a_tick_or_two(
+    ppm: dict[str, float], playout: Any, jitter: int, noise: int, minutes: int
+) -> None:
     clocks = {e: Clock(10**12 * (e == "s"), ppm.get(e, 0.0)) for e in "ms"}
     world = World(slow(playout=playout), clocks=clocks, still=True, jitter=jitter, noise=noise)
-    world.run(600.0)
+    world.run(60.0 * minutes)
     apart = clocks["s"].ppm - clocks["m"].ppm
     for e in "ms":
         end = world.end(e)
@@ -175,15 +178,15 @@ def test_ten_minutes_of_200_ppm_are_a_tick_or_two(ppm: dict[str, float], playout
         assert end.session.met == 1
         drift = end.link.clock.drift
         assert drift == pytest.approx((apart if e == "m" else -apart) * 1e-6, abs=20e-6)
-        assert abs(apart) == 200.0
+        assert abs(apart) * minutes >= 800.0
         assert end.way.least > 20 * MS - 20 * MS
         assert end.way.most < 20 * MS + jitter + 2 * 20 * MS
         assert dict(end.rejected) == {}
-        assert len(world.done[e]) == pytest.approx(30_000, abs=30)
+        assert len(world.done[e]) == pytest.approx(3000 * minutes, abs=30)
         if isinstance(playout, Fixed):
             inbox: Any = end.inbox
             assert inbox.late == 0
-    assert abs(world.done["m"][-1].k - world.done["s"][-1].k) <= 1, "without it they would be six ticks apart"
+    assert abs(world.done["m"][-1].k - world.done["s"][-1].k) <= 1, "without it they would be 2.4 ticks apart"
 
 
 @pytest.mark.parametrize("way", ["m", "s"])
@@ -197,8 +200,8 @@ def test_a_way_of_40_ms_more_moves_no_grid(way: str) -> None:
     assert world.end("s").guard.events == world.end("m").guard.events == []
 
 
-@pytest.mark.parametrize("who", ["m", "s"])
-@pytest.mark.parametrize("step", [0.3, -0.3, 0.9, 1.3, 5.0, -5.0])
+@usually("step, who", [(step, who) for step in (0.3, -0.3, 0.9, 1.3, 5.0, -5.0) for who in "ms"],
+         (0.3, "m"), (-0.3, "s"), (1.3, "s"), (-5.0, "m"))
 def test_a_clock_that_is_set_makes_no_force_jump_and_they_go_on(step: float, who: str) -> None:
     """Monotonic clocks are not set, but a machine that slept may show as much. Back, an end has to wait for itself."""
     scene = healing(Direct(K=200.0, B=5.0))
@@ -224,7 +227,7 @@ def test_a_clock_that_is_set_makes_no_force_jump_and_they_go_on(step: float, who
 
 def test_the_noise_of_the_stamps_is_no_drift() -> None:
     world = World(slow(), still=True, noise=2 * MS)
-    world.run(100.0)
+    world.run(60.0)
     for e in "ms":
         assert world.end(e).link.clock.drift == pytest.approx(0.0, abs=20e-6)
         assert world.end(e).link.clock.shift_ns == 0

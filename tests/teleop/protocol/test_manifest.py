@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -14,11 +15,7 @@ from teleop import Cap, Device, Encoder, LowPass, MassDamper, Scene, Wave
 from teleop.protocol.manifest import fingerprint, manifest_difference, manifest_of
 from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, encode, one_line
 from teleop.scene.loading import load_scene
-
-
-def test_equal_manifests_do_not_differ() -> None:
-    assert manifest_difference({}, {}) is None
-    assert manifest_difference({"a": "1", "b": "2"}, {"b": "2", "a": "1"}) is None
+from tests import fakes
 
 
 def test_the_sentence_names_the_knob_both_values_and_what_to_type() -> None:
@@ -32,29 +29,21 @@ def test_the_sentence_names_the_knob_both_values_and_what_to_type() -> None:
     assert "--set start='(0, 1)'" in (manifest_difference({"start": "(0, 1)"}, {"start": "0"}) or "")
 
 
-@pytest.mark.parametrize(
-    ("name", "more", "cure"),
-    [("wire version", "", "same release"), ("scene", "", "same scene"), ("law", " (1 more differs)", "law.*")],
-)
-def test_what_explains_the_rest_is_named_first(name: str, more: str, cure: str) -> None:
-    mine = {"k_e": "1", name: "x"}
-    sentence = manifest_difference(mine, {"k_e": "2", name: "y"})
-    assert sentence is not None
-    assert sentence.startswith(f"{name} is x here and y there{more}: ")
-    assert cure in sentence
+def test_what_explains_the_rest_is_named_first() -> None:
+    for name, more, cure in (("wire version", "", "same release"), ("scene", "", "same scene"),
+                             ("law", " (1 more differs)", "law.*")):
+        sentence = str(manifest_difference({"k_e": "1", name: "x"}, {"k_e": "2", name: "y"}))
+        assert sentence.startswith(f"{name} is x here and y there{more}: ")
+        assert cure in sentence
 
 
 LOCKSTEP, BY_CLOCK = {"mode": "lockstep", "seed": "0"}, {"mode": "live"}
 
 
 @pytest.mark.parametrize(("here", "there", "name", "more"), [
-    ({}, {"k_e": "1e3"}, "k_e", 0),
-    ({"f_max": "3"}, {}, "f_max", 0),
-    ({"delay": "0.1"}, {"k_e": "1e3"}, "delay", 1),
-    ({}, {"scene": "soft_tissue"}, "scene", 0),
-    ({}, {"link": "delay(0.1)"}, "link", 0),
-    (LOCKSTEP, BY_CLOCK, "mode", 0),
-    (BY_CLOCK, LOCKSTEP | {"k_e": "1e3"}, "mode", 1),
+    ({}, {"k_e": "1e3"}, "k_e", 0), ({"f_max": "3"}, {}, "f_max", 0), ({"delay": "0.1"}, {"k_e": "1e3"}, "delay", 1),
+    ({}, {"scene": "soft_tissue"}, "scene", 0), ({}, {"link": "delay(0.1)"}, "link", 0),
+    (LOCKSTEP, BY_CLOCK, "mode", 0), (BY_CLOCK, LOCKSTEP | {"k_e": "1e3"}, "mode", 1),
 ])
 def test_what_follows_from_another_is_not_counted(
     here: dict[str, str], there: dict[str, str], name: str, more: int
@@ -65,28 +54,21 @@ def test_what_follows_from_another_is_not_counted(
         knobs = {key: value for key, value in typed.items() if key not in (*of_run, "scene")}
         return {**manifest_of(load_scene(typed.get("scene", "hard_wall"), **knobs)), **of_run}
 
-    sentence = manifest_difference(told(here), told(there))
-    assert sentence is not None
+    sentence = str(manifest_difference(told(here), told(there)))
     assert sentence.startswith(f"{name} is ")
     assert ("more differ" in sentence) == bool(more)
     assert not more or f"({more} more differs)" in sentence
 
 
-def test_an_entry_of_one_end_only_is_missing_at_the_other() -> None:
+def test_an_entry_of_one_end_only_is_missing_at_the_other_and_a_knob_of_any_scene_is_typed_at_both() -> None:
+    """It said "install the same release, and the same scene file"."""
     for here, there in (({"a": ""}, {}), ({}, {"a": ""})):
-        sentence = manifest_difference(here, there)
-        assert sentence is not None
+        sentence = str(manifest_difference(here, there))
         assert "missing" in sentence
         assert "empty" in sentence
         assert "--set" not in sentence
-
-
-@pytest.mark.parametrize(("here", "there"), [({"scale_x": "1.0,2.0"}, {}), ({}, {"scale_x": "1.0,2.0"})])
-def test_a_knob_of_any_scene_that_was_typed_at_one_end_alone_is_typed_at_both(
-    here: dict[str, str], there: dict[str, str]
-) -> None:
-    """It said "install the same release, and the same scene file"."""
-    assert (manifest_difference(here, there) or "").endswith("start both ends with the same --set scale_x=1.0,2.0")
+    for here, there in (({"scale_x": "1.0,2.0"}, {}), ({}, {"scale_x": "1.0,2.0"})):
+        assert str(manifest_difference(here, there)).endswith("start both ends with the same --set scale_x=1.0,2.0")
 
 
 manifests = st.dictionaries(st.sampled_from(["scene", "law", "a", "b"]), st.sampled_from(["", "1", "2"]))
@@ -98,9 +80,45 @@ def test_manifests_differ_exactly_if_they_are_not_equal(mine: dict[str, str], th
 
 
 def test_the_sentence_about_huge_values_still_fits_with_its_cure() -> None:
-    sentence = manifest_difference({"k": "x" * 5000}, {"k": "y" * 5000})
-    assert sentence is not None
+    sentence = str(manifest_difference({"k": "x" * 5000}, {"k": "y" * 5000}))
     assert one_line(sentence) == sentence
+    assert "start both ends" in sentence
+
+
+SCENE = """
+from teleop import MassDamper, Scene
+
+def scene(*, duration: float = 1.0) -> Scene:
+    return Scene(law=Springs(), master=MassDamper(mass=0.1), slave=MassDamper(mass=MASS), duration=duration)
+"""
+
+
+def test_scenes_of_the_same_name_that_differ_anywhere_do_not_run_together(tmp_path: Path) -> None:
+    source = Path(fakes.__file__).read_text()  # with a law in it
+
+    def manifest(folder: str, change: tuple[str, str] = ("", ""), mass: str = "0.5") -> dict[str, str]:
+        path = tmp_path / folder / "mine.py"
+        path.parent.mkdir()
+        path.write_text(source.replace(*change, 1) + SCENE.replace("MASS", mass))
+        return manifest_of(load_scene(str(path)))
+
+    one = manifest("one")
+    assert manifest_difference(one, manifest("copy")) is None
+    body = str(manifest_difference(one, manifest("body", mass="0.6")))
+    assert "slave is MassDamper(mass=0.5" in body or "law source" in body  # the file differs, and the part too
+    turned = str(manifest_difference(one, manifest("turned", ("self.K * (rx.x - at.x)", "-self.K * (rx.x - at.x)"))))
+    assert turned.startswith("law source is mine.py (")
+
+
+def test_a_recorded_motion_may_lie_elsewhere_but_not_differ(tmp_path: Path) -> None:
+    manifests = []
+    for folder, reach in (("one", "0.1"), ("two", "0.1"), ("three", "0.2")):
+        path = tmp_path / folder / "motion.csv"
+        path.parent.mkdir()
+        path.write_text(f"t,x,y,z\n0,0,0,0\n1,{reach},0,0\n")
+        manifests.append(manifest_of(load_scene("recorded_reach", motion=str(path))))
+    assert manifest_difference(manifests[0], manifests[1]) is None
+    assert str(manifest_difference(manifests[0], manifests[2])).startswith("motion is motion.csv (")
 
 
 @pytest.mark.parametrize(("mine", "theirs", "sentence"), [

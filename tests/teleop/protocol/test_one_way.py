@@ -12,12 +12,22 @@ from teleop.protocol.packet import Kind, peek
 from teleop.scene.playout import Fixed, Zero
 from teleop.scene.scene import Scene
 from teleop.stages.watchdog import Watchdog
-from tests.teleop.protocol.test_healing import LAWS, PATIENT, alike, check, running
-from tests.teleop.protocol.virtual_clock import MS, Done, S, World, healing
+from tests.fakes import usually
+from tests.teleop.protocol.test_healing import LAWS, alike, check, running
+from tests.teleop.protocol.virtual_clock import MS, PATIENT, Done, S, World, healing
 
 
 def direct(**other: Any) -> Scene:
     return healing(LAWS["direct"], dt=0.002, cap=None, watchdog=Watchdog(timeout=0.1, ramp=0.05, settle=0.1), **other)
+
+
+def pressing() -> World:
+    """Two ends whose devices stand still 2 cm apart."""
+    world = running(direct(), still=True)
+    world.devices["m"].x = 0.02
+    world.run(0.5)
+    assert abs(world.done["s"][-1].force) > 1.0
+    return world
 
 
 def after(world: World, e: str, true: int) -> list[Done]:
@@ -25,8 +35,15 @@ def after(world: World, e: str, true: int) -> list[Done]:
     return [done for done in world.done[e] if done.true >= true]
 
 
-@pytest.mark.parametrize("away", [1.1, 2.4, 5.0])
-@pytest.mark.parametrize("cut", ["m", "s", "ms"])
+def causes(world: World, e: str) -> list[str]:
+    return [event.why for event in world.end(e).guard.events if event.what == "safe"]
+
+
+def met(world: World) -> list[int]:
+    return [world.end(e).session.met for e in "ms"]
+
+
+@pytest.mark.parametrize(("cut", "away"), [("m", 1.1), ("s", 2.4), ("ms", 5.0)])
 def test_an_outage_one_way_ends_in_no_slam(cut: str, away: float) -> None:
     """The slave's device stays, the hand goes on 5 cm meanwhile: 200 N/m times 5 cm would be 10 N at the release."""
     world = running(direct(), still=True)
@@ -35,18 +52,16 @@ def test_an_outage_one_way_ends_in_no_slam(cut: str, away: float) -> None:
     world.devices["m"].x = 0.05
     world.run(0.3)
     began, world.cut = world.true, set()
-    assert world.until_both_play(PATIENT) < PATIENT
-    world.run(0.5)
+    world.assert_both_play()
     for e in "ms":
         assert max(abs(done.force) for done in after(world, e, began)) < 1e-6
-        assert world.end(e).session.met == 2, "released into another session alone"
+    assert met(world) == [2, 2], "released into another session alone"
     alike(world)
-    check(world)
 
 
-@pytest.mark.parametrize("cut", ["m", "s"])
-@pytest.mark.parametrize("delay", [(5, 5), (5, 200), (200, 5), (300, 300)])
-@pytest.mark.parametrize("playout", [Zero(), Fixed(0.45)], ids=str)
+@usually("playout, delay, cut", [(playout, delay, cut)
+         for playout in (Zero(), Fixed(0.45)) for delay in ((5, 5), (5, 200), (200, 5), (300, 300)) for cut in "ms"],
+         (Zero(), (5, 5), "m"), (Zero(), (5, 200), "s"), (Fixed(0.45), (300, 300), "m"))
 def test_an_end_that_the_other_no_longer_hears_lets_go_within_the_timeout_and_a_round_trip(
     playout: Any, delay: tuple[int, int], cut: str
 ) -> None:
@@ -70,7 +85,7 @@ def test_an_end_that_the_other_no_longer_hears_lets_go_within_the_timeout_and_a_
     assert {each.force for each in done} == {0.0}
 
 
-@pytest.mark.parametrize("every", [(1, 10), (10, 1), (10, 10), (3, 7)], ids=str)
+@usually("every", [(1, 10), (10, 1), (10, 10), (3, 7)], (1, 10), (3, 7))
 def test_ends_of_other_rates_let_go_when_they_are_not_heard_and_not_before(every: tuple[int, int]) -> None:
     world = running(direct(), every=dict(zip("ms", every, strict=True)), still=True)
     world.run(3.0)
@@ -82,109 +97,118 @@ def test_ends_of_other_rates_let_go_when_they_are_not_heard_and_not_before(every
 
 def test_ticks_that_the_other_end_left_out_and_long_links_are_no_deafness() -> None:
     world = running(direct(), jitter=10 * MS, loss=0.2)
-    for _ in range(20):
-        world.pause("m", True)
-        world.run(0.05)
-        world.pause("m", False)
+    for _ in range(10):
+        world.stand_still("m", 0.05)
         world.run(0.3)
     assert [world.end(e).guard.events for e in "ms"] == [[], []]
     far = World(healing(watchdog=Watchdog(timeout=0.5), dt=0.01), delay={"m": 300 * MS, "s": 300 * MS}).run(15.0)
     assert [far.end(e).guard.events for e in "ms"] == [[], []]
 
 
-@pytest.mark.parametrize("way", [0.3, 1.0, 2.0, 4.0])
+@usually("way", [0.3, 1.0, 2.0, 4.0], 1.0)
 def test_links_of_seconds_are_met_and_released(way: float) -> None:
     dog = Watchdog(timeout=0.1, ramp=0.05, age=None)
     world = World(replace(direct(), watchdog=dog), delay={"m": round(way * S), "s": round(way * S)})
-    assert world.until_both_play(60.0) < 20.0 + 20.0 * way
-    world.run(5.0 + 2.0 * way)
-    alike(world)
-    check(world)
+    alike(world.assert_both_play(20.0 + 20.0 * way, after=5.0 + 2.0 * way))
 
 
 @pytest.mark.parametrize("who", ["m", "s"])
 def test_messages_that_are_lost_from_the_beginning_of_a_session_release_nothing(who: str) -> None:
     """The exchange comes through and the messages do not, as over a channel whose scene has an outage."""
     world = World(direct(), still=True)
-    lost = True
-    send = World.send
-
-    def lossy(self: World, e: str, data: bytes) -> None:
-        if not (lost and e == who and peek(data)[0] in (Kind.FORTH, Kind.BACK)):
-            send(self, e, data)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(World, "send", lossy)
-        world.run(1.7)
-        assert world.end("m").session.met == 1
-        world.devices["m"].x = 0.05
-        world.run(0.1)
-        lost, began = False, world.true
-        assert world.until_both_play(PATIENT) < PATIENT
-        world.run(0.5)
+    world.drops = lambda e, data: e == who and peek(data)[0] in (Kind.FORTH, Kind.BACK)
+    world.run(1.7)
+    assert world.end("m").session.met == 1
+    world.devices["m"].x = 0.05
+    world.run(0.1)
+    world.drops, began = lambda _e, _data: False, world.true
+    world.assert_both_play()
     for e in "ms":
         assert max(abs(done.force) for done in after(world, e, began)) < 1e-6
     alike(world)
 
 
-@pytest.mark.parametrize("away", [0.3, 0.9, 5.0])
 @pytest.mark.parametrize("who", ["m", "s"])
-@pytest.mark.parametrize("told", [True, False], ids=["a clock tells", "no clock tells"])
-def test_a_machine_that_was_suspended_acts_on_nothing_that_it_heard_before(told: bool, who: str, away: float) -> None:
-    """Its clock does not count the time: to it, what waited is new and the other end's messages come from ahead."""
+def test_in_another_session_nothing_is_released_before_the_other_end_hears_it(who: str) -> None:
+    """The exchange comes through all the while, and of the messages only those of the other end."""
     world = running(direct(), still=True)
-    world.devices["m"].x = 0.02
-    world.run(0.5)
-    assert abs(world.done["s"][-1].force) > 1.0
+    world.drops, began = lambda e, data: e == who and peek(data)[0] in (Kind.FORTH, Kind.BACK), world.true
+    world.run(5.0)
+    assert world.end(who).session.met > 1
+    gains = [done.gain for done in after(world, who, began)]
+    assert all(b <= a for a, b in pairwise(gains)), "it let go once, and no session released it"
+    assert gains[-1] == 0.0
+    world.drops = lambda _e, _data: False
+    world.assert_both_play()
+
+
+@usually("is_told, who, away", [(is_told, who, away)
+         for is_told in (True, False) for who in "ms" for away in (0.3, 0.9, 5.0)],
+         (True, "m", 0.9), (True, "s", 5.0), (False, "s", 0.3), (False, "m", 5.0))
+def test_a_machine_that_was_suspended_acts_on_nothing_that_it_heard_before(
+    is_told: bool, who: str, away: float
+) -> None:
+    """Its clock does not count the time: to it, what waited is new and the other end's messages come from ahead."""
+    world = pressing()
     world.pause(who, True)
     world.run(away)
     world.step(who, -round(away * S))
     began = world.true
     world.pause(who, False)
-    if told:
+    if is_told:
         world.end(who).stood_still(round(away * S))
     world.run(0.35)
     first = after(world, who, began)
-    patience = 0.0 if told else 0.06  # a master that renews the session asks for it at every 50 ms
-    if told:
-        assert first[0].safe
+    patience = 0.0 if is_told else 0.06  # a master that renews the session asks for it at every 50 ms
+    assert first[0].safe or not is_told
     assert all(done.safe for done in first if done.true >= began + patience * S and done.met == 1)
-    assert world.until_both_play(PATIENT) < PATIENT
-    world.run(0.5)
-    assert [world.end(e).session.met for e in "ms"] == [2, 2]
+    world.assert_both_play()
+    assert met(world) == [2, 2]
     late = [done for done in after(world, who, began) if done.true >= began + (patience + 0.05) * S]
     assert max(abs(done.force) for done in late) < 1e-6, "what the hand did before is of the session before"
-    why = [event.why for event in world.end(who).guard.events if event.what == "safe"]
-    assert not told or why[0].startswith("stood still"), why
+    assert not is_told or causes(world, who)[0].startswith("stood still"), causes(world, who)
     check(world)
 
 
+@pytest.mark.parametrize(("who", "lost"), [("m", 0.2), ("s", 0.5), ("m", 0.9), ("s", 0.9)])
+def test_messages_from_ahead_of_the_clock_say_within_some_ticks_that_it_stood_still(who: str, lost: float) -> None:
+    """Nothing waits for it that would tell, as its network was away too, and no clock of it counted the time."""
+    world = pressing()
+    world.pause(who, True)
+    world.run(lost)
+    process = world.processes[who]
+    assert process is not None
+    process.queue.clear()
+    world.step(who, -round(lost * S))
+    world.pause(who, False)
+    world.run(0.02)
+    assert causes(world, who)[0].startswith("stood still"), causes(world, who)
+    world.assert_both_play()
+    assert met(world) == [2, 2]
+
+
 def test_a_slave_that_is_told_that_its_session_is_over_lets_go_along_the_ramp_and_is_then_taken_up() -> None:
-    world = running(direct(), still=True)
-    world.devices["m"].x = 0.02
-    world.run(0.5)
+    world = pressing()
     began = world.true
     world.end("m").session.end("the session is over: as a test has it")
     world.run(0.05)
-    assert world.until_both_play(PATIENT) < 1.0
+    world.assert_both_play(1.0)
     for e in "ms":
-        done = [done for done in after(world, e, began) if done.met == 1]
-        gains = [done.gain for done in done]
+        gains = [done.gain for done in after(world, e, began) if done.met == 1]
         assert gains[-1] == 0.0
         assert max(a - b for a, b in pairwise([1.0, *gains])) <= 0.002 / 0.05 + 1e-9, "no new session cuts it off"
     check(world)
 
 
-@pytest.mark.parametrize("playout", [Zero(), Fixed(0.05)], ids=str)
-@pytest.mark.parametrize("every", [(1, 1), (16, 1), (1, 16), (12, 15)], ids=str)
-def test_silence_is_as_long_whatever_rate_the_other_end_has(every: tuple[int, int], playout: Any) -> None:
+@usually("playout, every", [(playout, every)
+         for playout in (Zero(), Fixed(0.05)) for every in ((1, 1), (16, 1), (1, 16), (12, 15))],
+         (Zero(), (16, 1)), (Fixed(0.05), (1, 16)), (Zero(), (12, 15)))
+def test_silence_is_as_long_whatever_rate_the_other_end_has(playout: Any, every: tuple[int, int]) -> None:
     """A slow peer's message stands for many ticks, and none of them is a sign that the peer is still there."""
-    world = World(replace(direct(), playout=playout), every=dict(zip("ms", every, strict=True)), still=True)
-    world.run(5.0)
-    assert world.both_play()
     for e, other in ("ms", "sm"):
         world = World(replace(direct(), playout=playout), every=dict(zip("ms", every, strict=True)), still=True)
-        world.run(5.0)
+        world.run(3.0)
+        assert world.both_play()
         began = world.done[other][-1].true  # of its last message
         world.kill(other)
         world.run(0.5)
@@ -194,51 +218,8 @@ def test_silence_is_as_long_whatever_rate_the_other_end_has(every: tuple[int, in
         assert (safe - began) / S <= delay + 0.1 + 2 * own + 0.004
 
 
-@pytest.mark.parametrize("lost", [0.2, 0.5, 0.9])
-@pytest.mark.parametrize("who", ["m", "s"])
-def test_messages_from_ahead_of_the_clock_say_within_some_ticks_that_it_stood_still(who: str, lost: float) -> None:
-    """Nothing waits for it that would tell, as its network was away too, and no clock of it counted the time."""
-    world = running(direct(), still=True)
-    world.devices["m"].x = 0.02
-    world.run(0.5)
-    world.pause(who, True)
-    world.run(lost)
-    process = world.processes[who]
-    assert process is not None
-    process.queue.clear()
-    world.step(who, -round(lost * S))
-    world.pause(who, False)
-    world.run(0.02)
-    events = [event for event in world.end(who).guard.events if event.what == "safe"]
-    assert events[0].why.startswith("stood still"), events
-    assert world.until_both_play(PATIENT) < PATIENT
-    assert [world.end(e).session.met for e in "ms"] == [2, 2]
-
-
-@pytest.mark.parametrize("who", ["m", "s"])
-def test_in_another_session_nothing_is_released_before_the_other_end_hears_it(who: str) -> None:
-    """The exchange comes through all the while, and of the messages only those of the other end."""
-    world = running(direct(), still=True)
-    send, lost = World.send, True
-
-    def lossy(self: World, e: str, data: bytes) -> None:
-        if not (lost and e == who and peek(data)[0] in (Kind.FORTH, Kind.BACK)):
-            send(self, e, data)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(World, "send", lossy)
-        began = world.true
-        world.run(5.0)
-        assert world.end(who).session.met > 1
-        gains = [done.gain for done in after(world, who, began)]
-        assert all(b <= a for a, b in pairwise(gains)), "it let go once, and no session released it"
-        assert gains[-1] == 0.0
-        lost = False
-        assert world.until_both_play(PATIENT) < PATIENT
-
-
-@pytest.mark.parametrize("who", ["m", "s"])
-@pytest.mark.parametrize("playout", [Zero(), Fixed(0.055)], ids=str)
+@usually("playout, who", [(playout, who) for playout in (Zero(), Fixed(0.055)) for who in "ms"],
+         (Zero(), "s"), (Fixed(0.055), "m"))
 def test_a_session_that_began_while_one_way_was_slow_does_not_set_the_grids_apart_for_good(
     playout: Any, who: str
 ) -> None:
@@ -248,7 +229,4 @@ def test_a_session_that_began_while_one_way_was_slow_does_not_set_the_grids_apar
     world.run(6.0)
     assert world.end("m").session.met == 2
     world.delay[who] -= 1500 * MS
-    assert world.until_both_play(2 * PATIENT) < 2 * PATIENT
-    world.run(0.5)
-    alike(world)
-    check(world)
+    alike(world.assert_both_play(2 * PATIENT))

@@ -5,14 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 from fractions import Fraction
-from math import ceil, inf, nan
+from math import ceil, erf, sqrt
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from teleop.errors import Refused
 from teleop.protocol.inbox import Inbox
@@ -33,7 +32,7 @@ playouts = st.sampled_from([*NEWEST, *[Fixed(ticks * DT * 1e-9) for ticks in (1,
 @st.composite
 def schedules(draw: st.DrawFn) -> tuple[int, Arrivals]:
     """Some packets lost, some doubled, each delayed by 0 to 12 ticks and a bit; sorted by time."""
-    count = draw(st.integers(1, 30))
+    count = draw(st.integers(1, 30))  # and perhaps nothing comes at all
     copies = draw(st.lists(st.tuples(st.integers(0, count - 1), st.integers(0, 12 * DT)), max_size=60))
     arrivals = [(packet, packet * DT + delay) for packet, delay in copies]
     return count, sorted(arrivals, key=lambda arrival: arrival[1])
@@ -84,82 +83,18 @@ def told_tick_by_tick(playout: Playout, arrivals: Arrivals, count: int) -> Plan:
 # --- plan
 
 
-@settings(max_examples=400)
+@settings(max_examples=150)
 @given(playouts, schedules())
 def test_plan_is_the_definition(playout: Playout, schedule: tuple[int, Arrivals]) -> None:
     count, arrivals = schedule
     assert entries(planned(playout, arrivals, count)) == entries(told_tick_by_tick(playout, arrivals, count))
 
 
-@settings(max_examples=200)
-@given(playouts, schedules())
-def test_a_packet_is_played_at_most_once_and_the_numbers_grow(
-    playout: Playout, schedule: tuple[int, Arrivals]
-) -> None:
-    count, arrivals = schedule
-    got = planned(playout, arrivals, count)
-    played = [packet for packet in got.play if packet >= 0]
-    assert played == sorted(set(played))
-    assert len(got.play) == count
-    for k, packet in enumerate(got.play):
-        if packet >= 0:
-            assert any(q == packet and tick_of(q, time) <= k for q, time in arrivals)
-            assert k - packet <= got.lag
-
-
-@settings(max_examples=200)
-@given(playouts, schedules())
-def test_every_packet_is_counted_once(playout: Playout, schedule: tuple[int, Arrivals]) -> None:
-    count, arrivals = schedule
-    got = planned(playout, arrivals, count)
-    assert got.sent == count == got.received + got.lost + got.in_flight
-    assert got.received == got.played + got.overtaken + got.late + got.waiting
-    assert got.played == sum(packet >= 0 for packet in got.play)
-    assert min(each for each in got[1:] if isinstance(each, int)) >= 0
-    if not isinstance(playout, Fixed):
-        assert got.late == got.waiting == 0
-    else:
-        assert got.overtaken == 0
-
-
-@given(playouts, schedules(), st.integers(0, 5 * DT))
-def test_copies_change_nothing_but_their_count(
-    playout: Playout, schedule: tuple[int, Arrivals], after: int
-) -> None:
-    count, arrivals = schedule
-    copies = [(packet, time + after) for packet, time in arrivals]
-    once = planned(playout, arrivals, count)
-    twice = planned(playout, sorted(arrivals + copies, key=lambda arrival: arrival[1]), count)
-    assert entries(twice._replace(duplicates=0)) == entries(once._replace(duplicates=0))
-    assert twice.duplicates >= once.duplicates
-
-
-@pytest.mark.parametrize(
-    ("delay_ns", "ticks"), [(0, 1), (1, 1), (MS, 1), (MS + 1, 2), (50 * MS, 50), (50 * MS + 1, 51)]
-)
-def test_a_constant_delay_is_a_shift(delay_ns: int, ticks: int) -> None:
-    got = planned(Zero(), [(k, k * MS + delay_ns) for k in range(200)], 200, MS)
-    assert got.play == [-1] * ticks + list(range(200 - ticks))
-    assert (got.lag, got.received, got.in_flight, got.overtaken) == (ticks, 200 - ticks, ticks, 0)
-
-
-def test_nothing_arrives() -> None:
-    for playout in (*NEWEST, Fixed(1.0)):
-        got = planned(playout, [], 5)
-        assert got.play == [-1] * 5
-        assert (got.sent, got.lost, got.lag) == (5, 5, 0)
-
-
-@pytest.mark.parametrize("packet", [-1, 5])
-def test_a_packet_that_was_not_sent_is_refused(packet: int) -> None:
-    with pytest.raises(Refused, match=r"packets 0 \.\. 4"):
-        planned(Zero(), [(packet, 3)], 5)
-
-
-def fresh_share(delay_ns: NDArray[np.int64], count: int) -> float:
-    time = np.arange(count) * MS + delay_ns
-    order = np.argsort(time, kind="stable")
-    return plan(Zero(), order, time[order], count, MS).played / count
+def test_a_constant_delay_is_a_shift() -> None:
+    for delay_ns, ticks in ((0, 1), (1, 1), (MS, 1), (MS + 1, 2), (50 * MS, 50), (50 * MS + 1, 51)):
+        got = planned(Zero(), [(k, k * MS + delay_ns) for k in range(200)], 200, MS)
+        assert got.play == [-1] * ticks + list(range(200 - ticks)), delay_ns
+        assert (got.lag, got.received, got.in_flight, got.overtaken) == (ticks, 200 - ticks, ticks, 0)
 
 
 def newest_wins(probability: NDArray[np.float64]) -> float:
@@ -172,42 +107,26 @@ def newest_wins(probability: NDArray[np.float64]) -> float:
     return float(probability @ np.concatenate([[1.0], np.cumprod(late[:-1])]))
 
 
-@pytest.mark.parametrize(("share", "jitter"), [(0.26, "uniform"), (0.10, "normal")])
-def test_newest_wins_throws_most_of_a_jittery_stream_away(share: float, jitter: str) -> None:
+def test_newest_wins_throws_most_of_a_jittery_stream_away() -> None:
     """At 1 kHz: 0-20 ms uniform leaves 26 % of the ticks fresh, normal with 20 ms 10 %."""
-    count, rng = 40_000, np.random.default_rng(1)
-    edges = np.arange(201.0)  # ms
-    if jitter == "uniform":
-        probability = np.diff(np.clip(edges / 20, 0, 1))
-        delay = rng.uniform(0, 20 * MS, count)
-    else:
-        probability = np.diff(norm.cdf(edges, loc=100, scale=20))
-        delay = rng.normal(100 * MS, 20 * MS, count).clip(0)
-    exact = newest_wins(probability)
-    assert exact == pytest.approx(share, abs=0.01)
-    assert fresh_share(delay.astype(np.int64), count) == pytest.approx(exact, abs=0.01)
+    count, rng, edges = 40_000, np.random.default_rng(1), np.arange(201.0)  # ms
+    uniform = np.clip(edges / 20, 0, 1)
+    normal = np.array([0.5 * (1.0 + erf((edge - 100) / (20 * sqrt(2.0)))) for edge in edges])
+    for share, cumulative, delay in ((0.26, uniform, rng.uniform(0, 20 * MS, count)),
+                                     (0.10, normal, rng.normal(100 * MS, 20 * MS, count).clip(0))):
+        time = np.arange(count) * MS + delay.astype(np.int64)
+        order = np.argsort(time, kind="stable")
+        exact = newest_wins(np.diff(cumulative))
+        assert exact == pytest.approx(share, abs=0.01)
+        assert plan(Zero(), order, time[order], count, MS).played / count == pytest.approx(exact, abs=0.01)
 
 
 # --- the playouts themselves
 
 
-@pytest.mark.parametrize(
-    ("delay", "ticks"),
-    [(0.05, 50), (0.1 + 0.2, 300), (0.0501, 51), (1e-3, 1), (1e-6, 1), (1e-12, 1), (3600, 3_600_000)],
-)
-def test_a_fixed_delay_is_rounded_up_to_ticks_once_it_is_in_nanoseconds(delay: float, ticks: int) -> None:
-    assert Fixed(delay).ticks(MS) == ticks
-
-
-@pytest.mark.parametrize("delay", [0.0, -1.0, nan, inf, 3601.0, True, "0.1", None])
-def test_a_delay_that_is_none_is_refused(delay: float) -> None:
-    with pytest.raises(Refused, match="playout delay"):
-        Fixed(delay)
-
-
-def test_gaps_are_zero_or_hold() -> None:
-    with pytest.raises(Refused, match="gaps are"):
-        Fixed(0.1, gaps="hold")  # type: ignore[arg-type]
+def test_a_fixed_delay_is_rounded_up_to_ticks_once_it_is_in_nanoseconds_and_gaps_are_zero_or_hold() -> None:
+    for delay, ticks in ((0.05, 50), (0.1 + 0.2, 300), (0.0501, 51), (1e-3, 1), (1e-6, 1), (1e-12, 1), (3600, 3600000)):
+        assert Fixed(delay).ticks(MS) == ticks, delay
     assert Fixed(0.1) == Fixed(delay=0.1, gaps=Zero())
     assert not repeats(Zero())
     assert repeats(Hold())
@@ -229,7 +148,7 @@ def counters(inbox: Inbox[str]) -> dict[str, int]:
     return {name: getattr(inbox, name) for name in names}
 
 
-@settings(max_examples=400)
+@settings(max_examples=120)
 @given(playouts, schedules(), st.integers(0, 15))
 def test_an_inbox_plays_and_counts_what_was_planned(
     playout: Playout, schedule: tuple[int, Arrivals], early: int
@@ -252,7 +171,7 @@ def test_an_inbox_plays_and_counts_what_was_planned(
     assert inbox.refused == 0
 
 
-@settings(max_examples=400)
+@settings(max_examples=120)
 @given(playouts, schedules(), st.lists(st.booleans(), min_size=30, max_size=30), st.lists(
     st.booleans(), min_size=30, max_size=30))
 def test_an_inbox_that_skips_ticks_plays_and_counts_what_was_planned(
@@ -276,7 +195,7 @@ def test_an_inbox_that_skips_ticks_plays_and_counts_what_was_planned(
     assert expected.sent == sent.sum() == expected.received + expected.lost + expected.in_flight
 
 
-@settings(max_examples=400)
+@settings(max_examples=120)
 @given(playouts, schedules(), st.lists(strides, min_size=1, max_size=30), st.integers(0, 4))
 def test_skipped_ticks_and_late_puts_keep_the_rule(
     playout: Playout, schedule: tuple[int, Arrivals], steps: list[int], behind: int
@@ -316,41 +235,6 @@ def test_a_packet_is_not_played_at_the_tick_it_was_sent() -> None:
     inbox: Inbox[str] = Inbox(Zero(), MS)
     inbox.add(3, 0, "from a peer whose clock is ahead")
     assert [inbox.take(k) for k in range(5)] == [None] * 4 + [(3, "from a peer whose clock is ahead")]
-
-
-def test_a_fixed_delay_plays_at_its_tick_or_never() -> None:
-    inbox: Inbox[str] = Inbox(Fixed(3e-3), MS)
-    inbox.add(0, 1, "in time")
-    inbox.add(1, 5, "late")
-    inbox.add(2, 5, "at the last moment")
-    assert [inbox.take(k) for k in range(7)] == [
-        None, None, None, (0, "in time"), None, (2, "at the last moment"), None,
-    ]
-    assert (inbox.played, inbox.late, inbox.received) == (2, 1, 3)
-
-
-def test_what_a_skipped_tick_should_have_played_is_late() -> None:
-    inbox: Inbox[None] = Inbox(Fixed(3e-3), MS)
-    for packet in range(4):
-        inbox.add(packet, packet + 1, None)
-    assert inbox.take(3) == (0, None)
-    assert (inbox.late, inbox.waiting) == (0, 2)  # packet 3 comes at tick 4
-    assert inbox.take(6) == (3, None)
-    assert (inbox.late, inbox.waiting) == (2, 0)
-
-
-def test_what_comes_after_its_tick_was_taken_arrives_at_the_next() -> None:
-    inbox: Inbox[None] = Inbox(Zero(), MS)
-    assert inbox.take(0) is inbox.take(1) is None
-    inbox.add(0, 1, None)
-    assert inbox.take(2) == (0, None)
-
-
-def test_an_entry_may_be_none() -> None:
-    for playout in (Zero(), Fixed(1e-3)):
-        inbox: Inbox[None] = Inbox(playout, MS)
-        inbox.add(0, 1, None)
-        assert inbox.take(1) == (0, None)
 
 
 @pytest.mark.parametrize("playout", [Zero(), Fixed(5e-3)])

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.packet import Echo, Packet, decode, encode
-from teleop.scene.playout import Fixed, Hold, Zero
+from teleop.scene.playout import Fixed, Zero
 from teleop.scene.scene import Scene
 from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
-from tests.teleop.protocol.test_endpoint import MS, START, met, scene
+from tests.fakes import usually
+from tests.teleop.protocol.ends import MS, START, met, scene
 
-COUNT = 500
+COUNT = 420
 WRAP = 2**32 - 200
 WATCH = Watchdog(timeout=0.05, ramp=0.02, settle=0.05)
 
@@ -66,8 +65,8 @@ def given(law: Any, playout: Any) -> Scene:
     return scene(law, playout=playout, watchdog=WATCH, link=None, duration=1.0)
 
 
-@pytest.mark.parametrize("playout", [Zero(), Hold(), Fixed(0.012)], ids=str)
-@pytest.mark.parametrize("law", [Wave(), PFRA(alpha=0.2)], ids=["wave", "pfra"])
+@usually("law, playout", [(law, playout) for law in (Wave(), PFRA(alpha=0.2)) for playout in (Zero(), Fixed(0.012))],
+         (Wave(), Zero()), (PFRA(alpha=0.2), Fixed(0.012)))
 def test_a_run_past_2_32_is_the_run_before_it(law: Any, playout: Any) -> None:
     plain, wrapped = Joined(given(law, playout), 10_000), Joined(given(law, playout), WRAP)
     assert wrapped.rows == plain.rows
@@ -83,8 +82,9 @@ def test_a_run_past_2_32_is_the_run_before_it(law: Any, playout: Any) -> None:
         assert [event.k - 10_000 for event in one.guard.events] == [event.k - WRAP for event in other.guard.events]
 
 
-@pytest.mark.parametrize("base", [10_000, WRAP])
+@usually("base", [10_000, WRAP], WRAP)
 def test_replays_and_numbers_that_are_far_off_change_nothing_there(base: int) -> None:
+    """Packets are numbered from 0 again on the wire and grow on inside."""
     plain, forged = Joined(given(Wave(), Zero()), base), Joined(given(Wave(), Zero()), base, forged=True)
     assert forged.rows == plain.rows
     assert forged.played == plain.played
@@ -93,13 +93,7 @@ def test_replays_and_numbers_that_are_far_off_change_nothing_there(base: int) ->
         assert set(rejected) == {"early", "old"}
         assert rejected["early"] == 3 * (COUNT - 31)
         assert forged.ends[e].link.lost() == plain.ends[e].link.lost()
-
-
-def test_a_session_of_a_run_so_long_has_an_inbox_that_knows_where_it_is() -> None:
-    """Packets are numbered from 0 again on the wire and grow on inside."""
-    both = Joined(given(Wave(), Zero()), WRAP)
-    for e in "ms":
-        inbox: Any = both.ends[e].inbox
+        inbox: Any = plain.ends[e].inbox
         assert inbox.refused == 0
-        assert inbox.received > 400
-        assert inbox._window.newest > 2**32
+        assert inbox.received > 300
+        assert inbox._window.newest > base + 200

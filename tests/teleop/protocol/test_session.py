@@ -6,15 +6,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from itertools import count, pairwise
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.protocol.estimates import AHEAD_NS, LEAD_NS, ROUNDS
-from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_difference, manifest_of
-from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
+from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_of
+from teleop.protocol.packet import Echo, Kind, Packet, decode
 from teleop.protocol.session import AGAIN_NS, RENEW_NS, Session
 from teleop.scene.loading import load_scene
 
@@ -104,7 +103,7 @@ def test_tick_0_is_still_ahead_when_the_slave_hears_of_it() -> None:
     assert talk.slave.start_ns > talk.now
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(there=st.integers(0, 200), back=st.integers(0, 200), ahead=st.integers(-(10**12), 10**12))
 def test_the_clock_offset_is_within_half_the_round_trip_however_the_delays_are_shared(
     there: int, back: int, ahead: int
@@ -135,8 +134,7 @@ def test_the_offset_is_taken_from_the_fastest_round_trip() -> None:
     assert talk.master.offset_ns == 0
 
 
-@pytest.mark.parametrize("kind", [Kind.HELLO, Kind.WELCOME, Kind.START])
-@pytest.mark.parametrize("times", [1, 6])
+@pytest.mark.parametrize(("kind", "times"), [(Kind.HELLO, 6), (Kind.WELCOME, 1), (Kind.START, 1), (Kind.START, 6)])
 def test_what_is_lost_is_said_again(kind: Kind, times: int) -> None:
     left = [times]
 
@@ -153,7 +151,7 @@ def test_what_is_lost_is_said_again(kind: Kind, times: int) -> None:
     assert len(talk.sent) == said
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.lists(st.booleans(), min_size=60, max_size=60))
 def test_any_pattern_of_losses_delays_the_start_and_no_more(pattern: list[bool]) -> None:
     fate = iter(pattern)
@@ -186,42 +184,23 @@ def test_a_start_that_comes_twice_moves_nothing() -> None:
 # Ends that do not match
 
 
-def manifests() -> list[tuple[str, dict[str, str]]]:
-    """Every entry of a real manifest, changed."""
-    real = manifest_of(load_scene("hard_wall"))
-    return [(name, {**real, name: real[name] + "1"}) for name in real]
-
-
-@pytest.mark.parametrize(("name", "other"), manifests())
-def test_ends_that_differ_both_stop_with_a_sentence_that_names_it(name: str, other: dict[str, str]) -> None:
+def test_ends_that_differ_in_any_entry_both_stop_with_a_sentence_that_names_it_from_where_each_stands() -> None:
     mine = manifest_of(load_scene("hard_wall"))
-    talk = Talk(Session(master=True, manifest=mine, number=7), Session(master=False, manifest=other))
-    talk.run(1000 * MS)
-    assert (talk.master.start_ns, talk.slave.start_ns) == (None, None)
-    for end in (talk.master, talk.slave):
-        assert end.failure is not None
-        assert f": {name} is " in end.failure
-        assert end.failure.count("\n") == 0
-        assert "start both ends with the same" in end.failure or "install the same release" in end.failure
-    said = len(talk.sent)
-    talk.run(1500 * MS)
-    assert len(talk.sent) == said
-
-
-def test_here_and_there_are_those_of_the_end_that_reads_the_sentence() -> None:
-    other = {**MANIFEST, "k_e": "2000.0"}
-    talk = Talk(slave=Session(master=False, manifest=other))
-    talk.run(1000 * MS)
-    assert "k_e is 5000.0 here and 2000.0 there" in str(talk.master.failure)
-    assert "k_e is 2000.0 here and 5000.0 there" in str(talk.slave.failure)
-
-
-@pytest.mark.parametrize("name", ["gone", "new"])
-def test_a_knob_that_only_one_end_knows_is_named_too(name: str) -> None:
-    other = {k: v for k, v in MANIFEST.items() if k != "k_e"} if name == "gone" else {**MANIFEST, "k_new": "1"}
-    talk = Talk(slave=Session(master=False, manifest=other))
-    talk.run(1000 * MS)
-    assert ("k_e" if name == "gone" else "k_new") in str(talk.master.failure)
+    others = {name: {**mine, name: mine[name] + "1"} for name in mine}
+    gone = {"k_e": {name: mine[name] for name in mine if name != "k_e"}, "k_new": {**mine, "k_new": "1"}}
+    for name, other in (*others.items(), *gone.items()):
+        talk = Talk(Session(master=True, manifest=mine, number=7), Session(master=False, manifest=other))
+        talk.run(200 * MS)
+        assert (talk.master.start_ns, talk.slave.start_ns) == (None, None), name
+        for end, here, there in ((talk.master, mine, other), (talk.slave, other, mine)):
+            failure = str(end.failure)
+            assert f": {name} is " in failure
+            assert failure.count("\n") == 0
+            assert "start both ends with the same" in failure or "install the same release" in failure
+            assert name not in ("k_e", "dt") or f"{here.get(name, 'missing')} here" in failure, there
+        sent = len(talk.sent)
+        talk.run(300 * MS)
+        assert len(talk.sent) == sent, name
 
 
 def test_a_slave_that_welcomes_what_is_another_run_is_left() -> None:
@@ -323,22 +302,16 @@ def test_a_start_counts_only_if_it_echoes_a_welcome_of_this_very_slave() -> None
     assert slave.start_ns == 5
 
 
-@pytest.mark.parametrize("tick_0", [2**61 + 1, -(2**61) - 1, 2**63 - 1, -(2**63)])
-def test_a_start_of_a_clock_that_nobody_has_is_not_believed(tick_0: int) -> None:
+def test_a_slave_that_has_met_nobody_believes_nobody_and_no_clock_that_nobody_has() -> None:
     slave = Session(master=False, manifest=MANIFEST)
-    slave.receive(hello(1), 10)
-    assert slave.receive(start_of(1, 10, tick_0), 20) == []
-    assert (slave.number, slave.start_ns) == (None, None)
-
-
-@pytest.mark.parametrize("number", [0, 1, 2**64 - 1])
-def test_a_slave_that_has_met_nobody_believes_nobody(number: int) -> None:
-    slave = Session(master=False, manifest=MANIFEST)
-    for packet in (Packet(Kind.START, number, 0, 0, None, 5), Packet(Kind.BYE, number, 0, 0, None, "go"),
-                   Packet(Kind.REFUSE, number, 0, 0, None, "no"), Packet(Kind.WELCOME, number, 0, 0, None, MANIFEST)):
-        assert slave.receive(packet, 0) == []
-    assert (slave.start_ns, slave.farewell, slave.failure) == (None, None, None)
+    for number in (0, 1, 2**64 - 1):
+        for kind, payload in ((Kind.START, 5), (Kind.BYE, "go"), (Kind.REFUSE, "no"), (Kind.WELCOME, MANIFEST)):
+            assert slave.receive(Packet(kind, number, 0, 0, None, payload), 0) == []  # type: ignore[arg-type]
     assert slave.bye("nobody to tell", 0) == []
+    slave.receive(hello(1), 10)
+    for tick_0 in (2**61 + 1, -(2**61) - 1, 2**63 - 1, -(2**63)):
+        assert slave.receive(start_of(1, 10, tick_0), 20) == [], tick_0
+    assert (slave.number, slave.start_ns, slave.farewell, slave.failure) == (None, None, None, None)
 
 
 def test_a_master_takes_no_hello_and_no_word_of_another_session() -> None:
@@ -364,61 +337,6 @@ def test_a_farewell_reaches_the_other_end_with_its_reason() -> None:
     talk.run(2100 * MS)
     assert talk.master.farewell == "it was asked to stop (SIGINT)"
     assert talk.slave.farewell == "finished"
-
-
-def test_a_manifest_that_cannot_be_sent_is_refused_where_it_is_made() -> None:
-    with pytest.raises(ValueError, match="printable"):
-        Session(master=True, manifest={"k": "a\nb"}, number=1).due(0)
-    assert isinstance(decode(encode(hello(1)), 1), Packet)
-
-
-MINE = """
-from dataclasses import dataclass
-from typing import ClassVar
-from teleop import Direct, MassDamper, Scene
-
-@dataclass(frozen=True, kw_only=True)
-class Mine:
-    K: float = 10.0
-    claims: ClassVar[dict[str, str]] = {}
-    def master_start(self, at): return (), Direct().master_start(at)[1]
-    def slave_start(self, at): return (), Direct().slave_start(at)[1]
-    def master(self, s, at, rx): return 0.0, type(Direct().slave_start(at)[1])(at.x, at.v), s
-    def slave(self, s, at, rx): return SIGN * self.K * (rx.x - at.x), Direct().master_start(at)[1], s
-
-def scene(*, duration: float = 1.0) -> Scene:
-    return Scene(law=Mine(), master=MassDamper(mass=0.1), slave=MassDamper(mass=MASS), duration=duration)
-"""
-
-
-def test_scenes_of_the_same_name_that_differ_anywhere_do_not_run_together(tmp_path: Path) -> None:
-    def manifest(folder: str, sign: str = "1.0", mass: str = "0.5") -> dict[str, str]:
-        path = tmp_path / folder / "mine.py"
-        path.parent.mkdir()
-        path.write_text(MINE.replace("SIGN", sign).replace("MASS", mass))
-        return manifest_of(load_scene(str(path)))
-
-    one = manifest("one")
-    assert manifest_difference(one, manifest("copy")) is None
-    body = manifest_difference(one, manifest("body", mass="0.6"))
-    assert body is not None
-    assert "slave is MassDamper(mass=0.5" in body or "law source" in body  # the file differs, and the part too
-    turned = manifest_difference(one, manifest("turned", sign="-1.0"))
-    assert turned is not None
-    assert turned.startswith("law source is mine.py (")
-
-
-def test_a_recorded_motion_may_lie_elsewhere_but_not_differ(tmp_path: Path) -> None:
-    manifests = []
-    for folder, reach in (("one", "0.1"), ("two", "0.1"), ("three", "0.2")):
-        path = tmp_path / folder / "motion.csv"
-        path.parent.mkdir()
-        path.write_text(f"t,x,y,z\n0,0,0,0\n1,{reach},0,0\n")
-        manifests.append(manifest_of(load_scene("recorded_reach", motion=str(path))))
-    assert manifest_difference(manifests[0], manifests[1]) is None
-    told = manifest_difference(manifests[0], manifests[2])
-    assert told is not None
-    assert told.startswith("motion is motion.csv (")
 
 
 def test_a_tick_0_that_is_further_ahead_than_any_master_sets_it_is_not_taken() -> None:

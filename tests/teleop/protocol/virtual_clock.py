@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
 from teleop.laws.wave import Wave
-from teleop.protocol.endpoint import Endpoint, Reading
+from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, peek
 from teleop.protocol.session import Session
@@ -24,11 +24,13 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
+from tests.fakes import Body
 
 S, MS = 1_000_000_000, 1_000_000
 DRAIN = 16
 MEETS_EVERY = 5 * MS
 EARLY = 10 * MS
+PATIENT = 6.0  # s: a second of silence, twice if both notice one after the other, the exchange, settle, ramp
 DOG = Watchdog(timeout=0.1, ramp=0.1, settle=0.1)
 CAP = Cap(f_max=20.0, slew=40.0)
 
@@ -36,7 +38,7 @@ CAP = Cap(f_max=20.0, slew=40.0)
 def healing(law: Any = None, *, dt: float = 0.01, duration: float = 60.0, **other: Any) -> Scene:
     """A scene for these processes: the link is theirs."""
     base = load_scene("canonical", law=law or Wave(b=2.0, K=200.0, B=5.0), dt=dt, duration=duration, wall=0.02)
-    return replace(base, link=None, **{"watchdog": DOG, "cap": CAP, **other})
+    return replace(base, **{"link": None, "watchdog": DOG, "cap": CAP, **other})
 
 
 @dataclass
@@ -136,7 +138,7 @@ class Process:
         if k <= self.last:
             return
         self.last = k
-        out = self.end.tick(k, now, world.reading(self.e, k))
+        out = self.end.tick(k, now, world.devices[self.e].read(k))
         world.devices[self.e].hold(out.force)
         if out.datagram is not None:
             world.send(self.e, out.datagram)
@@ -146,19 +148,6 @@ class Process:
         self.ran += 1
         for data in session.due(now):
             world.send(self.e, data)
-
-
-class Still:
-    """A device that does not move."""
-
-    def __init__(self, x: float = 0.0, v: float = 0.0) -> None:
-        self.x, self.v = x, v
-
-    def read(self, k: int) -> Reading:
-        return Reading((self.x,), (self.v,), (0.0,))
-
-    def hold(self, force: tuple[float, ...]) -> None:
-        pass
 
 
 @dataclass
@@ -176,13 +165,13 @@ class World:
     every: dict[str, int] = field(default_factory=lambda: {"m": 1, "s": 1})
     still: bool = False  # devices that do not move
     cut: set[str] = field(default_factory=set)  # ends whose datagrams are lost
-    seen: Callable[[str, bytes], None] = lambda _e, _data: None  # everything that is sent
+    drops: Callable[[str, bytes], bool] = lambda _e, _data: False  # of everything that is sent, what is lost
     true: int = 0
 
     def __post_init__(self) -> None:
         self.dice = Random(self.seed)
         self.devices: dict[str, Any] = (
-            {"m": Still(), "s": Still()} if self.still else
+            {e: Body(mass=None, f=0.0) for e in "ms"} if self.still else
             {"m": SimulatedMaster(self.scene), "s": SimulatedSlave(self.scene)})
         self.processes: dict[str, Process | None] = {"m": None, "s": None}
         self.wakes = {"m": 0, "s": 0}
@@ -215,6 +204,22 @@ class World:
         self.processes[e] = None
         self.devices[e].hold((0.0,))
 
+    def restart(self, who: str, away: float) -> None:
+        """Kill these ends, and start them anew after so many seconds."""
+        for e in who:
+            self.kill(e)
+        self.run(away)
+        for e in who:
+            self.start(e)
+
+    def stand_still(self, who: str, away: float) -> None:
+        """Stop the processes of these ends for so many seconds."""
+        for is_asleep in (True, False):
+            for e in who:
+                self.pause(e, is_asleep)
+            if is_asleep:
+                self.run(away)
+
     def pause(self, e: str, asleep: bool) -> None:
         """Stop a process (its motor holds on) or continue it."""
         process = self.processes[e]
@@ -222,22 +227,22 @@ class World:
             process.asleep = asleep
             self.wakes[e] = self.true
 
+    def cut_off(self, who: str, away: float) -> None:
+        """Lose for so many seconds what these ends send."""
+        self.cut = set(who)
+        self.run(away)
+        self.cut = set()
+
     def step(self, e: str, by: int) -> None:
         """Set a clock forth or back."""
         self.clocks[e].offset += by
         self.wakes[e] = self.true
 
-    def reading(self, e: str, k: int) -> Reading:
-        """What the device reads."""
-        got: Reading = self.devices[e].read(k)
-        return got
-
     def send(self, e: str, data: bytes) -> None:
         """`e` sends this."""
-        self.seen(e, data)
         other = "s" if e == "m" else "m"
         dice, control = self.dice, peek(data)[0] not in (Kind.FORTH, Kind.BACK)
-        if e in self.cut or (dice.random() < self.loss):
+        if self.drops(e, data) or e in self.cut or (dice.random() < self.loss):
             return
         for _ in range(1 + (dice.random() < self.copies)):
             takes = self.delay[e] + (dice.randrange(self.jitter + 1) if self.jitter else 0)
@@ -291,3 +296,9 @@ class World:
         while not self.both_play() and self.true - began < most * S:
             self.run(0.05)
         return (self.true - began) / S
+
+    def assert_both_play(self, most: float = PATIENT, after: float = 0.5) -> World:
+        """Both ends play within `most` seconds; then let `after` seconds pass."""
+        took = self.until_both_play(most)
+        assert took < most, [(e, p and (p.over, p.ticking, p.end.session.met)) for e, p in self.processes.items()]
+        return self.run(after)

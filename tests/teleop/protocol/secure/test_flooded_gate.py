@@ -16,10 +16,11 @@ from teleop.protocol.secure.dtls_record import HEAD, MTU, DtlsRecord, records
 from teleop.protocol.secure.gate import BURST, CHECK_NS, CHECKED_NS, Gate
 from teleop.protocol.secure.keys import Key
 from teleop.protocol.secure.secure_link import SecureLink
+from tests.fakes import usually
 
 MS, S = 1_000_000, 1_000_000_000
 HOME, SLAVE = ("192.0.2.1", 4000), ("192.0.2.2", 9001)
-RATE = 2000  # hostile datagrams a second
+RATE = 1000  # hostile datagrams a second
 PORTS = 64
 Where = tuple[str, int]
 
@@ -76,7 +77,7 @@ class Flooded:
 
     def __init__(
         self, keys: list[Key], addresses: list[Where], seed: int, *, rate: int = RATE, link: str = "delay(0.05)",
-        observed: bool = False,
+        is_observed: bool = False,
     ) -> None:
         self.slave = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(range(32)))
         self.hostile = Hostile(keys, addresses, seen_once(keys), seed)
@@ -89,7 +90,7 @@ class Flooded:
             shots = [ms * MS + self.hostile.dice.randrange(MS) for _ in range(rate // 1000)]
             self._fire(at for at in shots if at <= now)
             if ms >= 1000:
-                self._call(master, ways, now, observed=observed)
+                self._call(master, ways, now, is_observed=is_observed)
             self._fire(at for at in shots if at > now)
             self.most_begun = max(self.most_begun, len(self.gate._begun))
             if master.ready and self.slave.ready:
@@ -100,12 +101,12 @@ class Flooded:
         for at in sorted(shots):
             self.hostile.shot(self.slave, at)
 
-    def _call(self, master: SecureLink, ways: list[Stream], now: int, *, observed: bool) -> None:
-        """What goes to and fro between the two ends; `observed`: each of the master's datagrams comes twice."""
+    def _call(self, master: SecureLink, ways: list[Stream], now: int, *, is_observed: bool) -> None:
+        """What goes to and fro between the two ends; `is_observed`: each of the master's datagrams comes twice."""
         for data, _ in master.due(now):
             ways[0].send(ways[0].sent, now, data)
         for came in ways[0].deliver(now):
-            for data in [came.load, came.load] if observed else [came.load]:
+            for data in [came.load, came.load] if is_observed else [came.load]:
                 for reply, at in self.slave.receive(data, HOME, now)[1]:
                     if at == HOME:
                         ways[1].send(ways[1].sent, now, reply)
@@ -121,34 +122,29 @@ class Flooded:
 
 
 PORTS_OF_ONE = [("198.51.100.7", 10_000 + i) for i in range(PORTS)]
+THOUSANDS = [(f"198.51.{i % 256}.{i % 199}", 1024 + i) for i in range(3000)]
+THOUSANDS += [(HOME[0], HOME[1] + 1 + i) for i in range(3000)]  # and of the master's own host
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_a_sender_without_the_key_does_not_keep_the_pinned_master_out(keys: list[Key], seed: int) -> None:
-    """500 datagrams a second with cookies that were used before did: they filled every place for a handshake."""
-    flood = Flooded(keys, PORTS_OF_ONE, seed)
+@usually("kind, seed", [(kind, seed) for kind in ("one", "lossy", "thousands", "observed") for seed in range(8)],
+         ("one", 0), ("lossy", 1), ("thousands", 2), ("observed", 3))
+def test_a_sender_without_the_key_does_not_keep_the_pinned_master_out(keys: list[Key], kind: str, seed: int) -> None:
+    """500 datagrams a second with cookies that were used before did: they filled every place for a handshake.
+
+    Nor where the link loses datagrams besides, nor with thousands of addresses: what an end that listens remembers of
+    them is bounded, and so is the time that it gives to their signatures. Nor by a copy of each of the master's own
+    datagrams from the master's address: it does not use up the cookie.
+    """
+    flood = Flooded(keys, THOUSANDS if kind == "thousands" else PORTS_OF_ONE, seed, is_observed=kind == "observed",
+                    link="delay(0.04) | uniform(0.02) | bernoulli(0.1)" if kind == "lossy" else "delay(0.05)",
+                    rate=2 * RATE if kind == "thousands" else RATE)
     assert flood.took is not None
     assert flood.took < 3.0
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_nor_where_the_link_loses_datagrams_besides(keys: list[Key], seed: int) -> None:
-    flood = Flooded(keys, PORTS_OF_ONE, seed, link="delay(0.04) | uniform(0.02) | bernoulli(0.1)")
-    assert flood.took is not None
-    assert flood.took < 3.0
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_nor_does_one_that_has_thousands_of_addresses_or_the_masters_own_host(keys: list[Key], seed: int) -> None:
-    """What an end that listens remembers of them is bounded, and so is the time that it gives to their signatures."""
-    addresses = [(f"198.51.{i % 256}.{i % 199}", 1024 + i) for i in range(3000)]
-    addresses += [(HOME[0], HOME[1] + 1 + i) for i in range(3000)]
-    flood = Flooded(keys, addresses, seed, rate=2 * RATE)
-    assert flood.took is not None
-    assert flood.took < 3.0
-    assert flood.most_begun <= 1  # the master's own
-    assert len(flood.gate._checked) <= BURST + CHECKED_NS // CHECK_NS
-    assert len(flood.gate._used) == 1
+    if kind != "lossy":
+        assert flood.most_begun <= 1  # the master's own
+    if kind == "thousands":
+        assert len(flood.gate._checked) <= BURST + CHECKED_NS // CHECK_NS
+        assert len(flood.gate._used) == 1
 
 
 def test_signatures_that_are_looked_at_are_bounded_in_time(keys: list[Key], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,16 +157,7 @@ def test_signatures_that_are_looked_at_are_bounded_in_time(keys: list[Key], monk
     while len({at for at, _ in hostile.hellos}) < 200:
         hostile.shot(slave, 0)
     looked.clear()
-    for i in range(20_000):
+    for i in range(4000):
         at, hello = hostile.dice.choice(hostile.hellos)
         slave.receive(hostile._forged(hello), at, S + i * MS // 20)
-    assert 0 < len(looked) <= BURST + S // CHECK_NS
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_copies_of_the_masters_own_hello_do_not_use_up_its_cookie(keys: list[Key], seed: int) -> None:
-    """An observer sends each of the master's datagrams a second time from the master's own address."""
-    flood = Flooded(keys, PORTS_OF_ONE, seed, observed=True)
-    assert flood.took is not None
-    assert flood.took < 3.0
-    assert flood.most_begun == 1
+    assert 0 < len(looked) <= BURST + S // 5 // CHECK_NS

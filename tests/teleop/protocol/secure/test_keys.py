@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives.asymmetric.ec import SECP384R1, generate_pri
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, NoEncryption, PrivateFormat
 from cryptography.x509 import load_pem_x509_certificate
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.errors import Refused
@@ -73,15 +73,6 @@ class TestMaking:
         (tmp_path / "slave").mkdir()
         assert keygen(tmp_path / "slave")[0] == tmp_path / "slave.key"
 
-    @pytest.mark.parametrize("name", ["", ".", "/"])
-    def test_what_names_no_file_is_refused(self, name: str) -> None:
-        with pytest.raises(Refused, match="names no file"):
-            keygen(name)
-
-    def test_a_folder_that_is_not_there_is_refused(self, tmp_path: Path) -> None:
-        with pytest.raises(Refused, match="No such file or directory"):
-            keygen(tmp_path / "none" / "hand")
-
     def test_on_a_full_disk_nothing_is_left(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def full(_: int) -> None:
             raise OSError(28, "No space left on device")
@@ -99,11 +90,15 @@ class TestMaking:
 
 
 class TestReading:
-    @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o602, 0o610, 0o644, 0o777])
-    def test_a_file_that_others_may_read_or_change_is_refused(self, made: tuple[Path, str], mode: int) -> None:
-        made[0].chmod(mode)
-        with pytest.raises(Refused, match="chmod 600"):
-            load_key(made[0])
+    def test_a_file_that_others_may_read_or_change_is_refused_and_a_stricter_mode_will_do(
+        self, made: tuple[Path, str]
+    ) -> None:
+        for mode in (0o640, 0o604, 0o620, 0o602, 0o610, 0o644, 0o777):
+            made[0].chmod(mode)
+            with pytest.raises(Refused, match="chmod 600"):
+                load_key(made[0])
+        made[0].chmod(0o400)
+        assert load_key(made[0]).fingerprint == made[1]
 
     def test_a_file_that_another_user_owns_is_refused_whatever_its_mode(
         self, made: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
@@ -114,21 +109,10 @@ class TestReading:
         with pytest.raises(Refused, match=f"owned by the user with the number {owner}.*sudo chown {owner + 1}"):
             load_key(made[0])
 
-    def test_a_stricter_mode_will_do(self, made: tuple[Path, str]) -> None:
-        made[0].chmod(0o400)
-        assert load_key(made[0]).fingerprint == made[1]
-
-    def test_what_is_no_file_is_refused_without_waiting_for_it(self, tmp_path: Path) -> None:
+    def test_a_pipe_is_refused_without_waiting_for_it(self, tmp_path: Path) -> None:
         os.mkfifo(tmp_path / "pipe.key", 0o600)
-        for path in (tmp_path, tmp_path / "pipe.key", Path("/dev/null")):
-            with pytest.raises(Refused, match="is no file"):
-                load_key(path)
-
-    def test_a_missing_one_says_how_to_make_it(self, tmp_path: Path) -> None:
-        with pytest.raises(Refused, match="teleop keygen hand"):
-            load_key(tmp_path / "hand.key")
-        with pytest.raises(Refused, match="cannot read"):
-            load_key(tmp_path / "a\0b")
+        with pytest.raises(Refused, match="is no file"):
+            load_key(tmp_path / "pipe.key")
 
     def test_key_and_certificate_of_different_ends_are_refused(self, made: tuple[Path, str], tmp_path: Path) -> None:
         other = keygen(tmp_path / "other")[0]
@@ -149,25 +133,14 @@ class TestReading:
         with pytest.raises(Refused, match="unencrypted"):
             load_key(made[0])
 
-    @settings(max_examples=200)
-    @given(st.sampled_from(["cut", "tail", "zero", "turned"]), st.floats(0.0, 1.0, exclude_max=True))
-    def test_a_damaged_file_is_refused_or_still_the_same_key(
-        self, whole: Path, damage: str, part: float
-    ) -> None:
-        text, expected = whole.read_bytes(), load_key(whole).fingerprint
-        at = int(part * len(text))
-        damaged = {"cut": text[:at], "tail": text[at:], "zero": text[:at] + b"\0" + text[at + 1 :],
-                   "turned": text[at:] + text[:at]}[damage]
-        path = whole.with_name("damaged.key")
-        path.write_bytes(damaged)
-        path.chmod(0o600)
-        with suppress(Refused):
-            assert load_key(path).fingerprint == expected
-
-
-@pytest.fixture(scope="session")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return keygen(tmp_path_factory.mktemp("whole") / "hand")[0]
+    def test_a_damaged_file_is_refused_or_still_the_same_key(self, made: tuple[Path, str]) -> None:
+        path, expected = made
+        text = path.read_bytes()
+        for at in range(0, len(text), 11):
+            for damaged in (text[:at], text[at:], text[:at] + b"\0" + text[at + 1 :], text[at:] + text[:at]):
+                path.write_bytes(damaged)
+                with suppress(Refused):
+                    assert load_key(path).fingerprint == expected, at
 
 
 class TestSecrecy:
@@ -206,15 +179,6 @@ class TestFingerprints:
         assert parse_fingerprint(before + (written.upper() if upper else written) + "\n") == printed
         assert parse_fingerprint(printed) == printed
 
-    @pytest.mark.parametrize(("typed", "why"), [
-        ("", "has 0 hexadecimal digits"), ("ab" * 31, "has 62"), ("ab" * 33, "has 66"), ("xy" * 32, "letters"),
-        ("ab" * 31 + "٣٣", "letters"),
-    ])
-    def test_what_is_none_is_refused_with_an_example(self, typed: str, why: str) -> None:
-        with pytest.raises(Refused, match=why) as refused:
-            parse_fingerprint(typed)
-        assert "0123abcd-0123abcd" in str(refused.value)
-
 
 class TestTheCommand:
     def test_writes_a_key_and_prints_what_the_other_end_is_told(self, typed: Callable[..., Any]) -> None:
@@ -224,13 +188,8 @@ class TestTheCommand:
         assert f"--peer-fingerprint {key.fingerprint}\n" in answer.out
         assert "--key hand.key\n" in answer.out
         assert _private_text(Path("hand.key"))[:12] not in answer.out
-
-    def test_as_json_it_is_one_object(self, typed: Callable[..., Any]) -> None:
-        told = json.loads(typed("keygen", "hand", "--json").out)
-        assert told == {"path": "hand.key", "fingerprint": load_key("hand.key").fingerprint}
-
-    def test_a_second_time_it_is_refused_in_a_sentence(self, typed: Callable[..., Any]) -> None:
-        typed("keygen", "hand")
+        as_json = json.loads(typed("keygen", "other", "--json").out)
+        assert as_json == {"path": "other.key", "fingerprint": load_key("other.key").fingerprint}
         typed("keygen", "hand").assert_refused("never overwritten")
 
     def test_without_the_extra_it_says_what_to_install(

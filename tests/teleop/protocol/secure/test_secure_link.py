@@ -7,116 +7,48 @@ from typing import Any
 
 import pytest
 
-from channel.link import parse_link
-from channel.schedule import Stream
 from teleop.protocol.secure.association import AGAIN_NS
 from teleop.protocol.secure.dtls_record import OVERHEAD, VERIFY_REQUEST, Dropped, records
 from teleop.protocol.secure.keys import Key
 from teleop.protocol.secure.secure_link import SILENT_NS, SecureLink
+from tests.teleop.protocol.secure.conftest import AWAY, HOME, MS, SLAVE, STEP, World
 
-MS = 1_000_000
 OTHER_SLAVE, ANY, LOOPBACK = ("192.0.2.3", 9001), ("0.0.0.0", 9001), ("127.0.0.1", 9001)
-HOME, AWAY, SLAVE = ("192.0.2.1", 4000), ("198.51.100.7", 5000), ("192.0.2.2", 9001)
-STEP = 2  # ms between two packets of an end
 
 
-class World:
-    """A master and a slave with water between them; every packet is the number of its step."""
-
-    def __init__(self, keys: list[Key], link: str, seed: int = 0) -> None:
-        self.keys, self.now = keys, 0
-        self.ways = [Stream(parse_link(link), way, seed, 100) for way in (0, 1)]
-        self.from_, self.to = HOME, dict[int, list[tuple[int, bytes]]]()
-        self.answers = SLAVE  # where what the slave sends comes from
-        self.came: list[list[tuple[int, int]]] = [[], []]  # (when in ms, number) at master and slave
-        self.sent: list[list[int]] = [[], []]
-        self.start_master()
-        self.start_slave()
-
-    def start_master(self) -> None:
-        self.master = SecureLink.calling(self.keys[0], self.keys[1].fingerprint, SLAVE)
-
-    def start_slave(self) -> None:
-        self.slave = SecureLink.listening(self.keys[1], self.keys[0].fingerprint, bytes(32))
-
-    def run(self, ms: int, *, dead: str = "") -> None:
-        """Go on for a time; the end that is `dead` neither sends nor hears."""
-        for _ in range(ms // STEP):
-            for way, link, name in ((0, self.master, "master"), (1, self.slave, "slave")):
-                if name != dead:
-                    self._go(way, [*link.due(self.now), *self._packet(way, link)])
-            for way, link, name in ((0, self.slave, "slave"), (1, self.master, "master")):
-                for arrived in self.ways[way].deliver(self.now):
-                    if name != dead:
-                        plain, back = link.receive(arrived.load, self.answers if way else self.from_, self.now)
-                        self.came[1 - way] += [(self.now // MS, int.from_bytes(one[:4], "big")) for one in plain]
-                        self._go(1 - way, back)
-            self.now += STEP * MS
-
-    def _packet(self, way: int, link: SecureLink) -> list[Any]:
-        number = self.now // MS
-        data = link.send(number.to_bytes(4, "big") + bytes(96))
-        self.sent[way] += [] if data is None else [number]
-        return [] if data is None else [(data, link.address)]
-
-    def _go(self, way: int, out: list[Any]) -> None:
-        for data, at in out:
-            if at in ((self.from_,) if way else (SLAVE, self.answers)):
-                self.ways[way].send(self.ways[way].sent, self.now, data)
-
-    def quiet_until(self, end: int, since: int) -> int:
-        """When something next came at an end, ms."""
-        return next((when for when, _ in self.came[end] if when >= since), 10**9)
-
-
-@pytest.fixture
-def world(keys: list[Key]) -> Callable[..., World]:
-    return lambda link="delay(0.02) | uniform(0.02)", seed=0: World(keys, link, seed)
-
-
-def test_two_ends_meet_and_talk(world: Callable[..., World]) -> None:
-    two = world()
-    two.run(1000)
-    assert two.master.ready
-    assert two.slave.ready
-    assert two.slave.address == HOME
-    for end in (0, 1):
-        assert two.quiet_until(end, 0) < 300
-        assert len(two.came[end]) == len({number for _, number in two.came[end]})
-    assert two.master.associations == two.slave.associations == 1
-    assert two.master.trouble is two.slave.trouble is None
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_new_keys_cost_not_a_packet(world: Callable[..., World], seed: int) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_two_ends_meet_and_talk_and_new_keys_cost_not_a_packet(world: Callable[..., World], seed: int) -> None:
     two = world(seed=seed)
     two.run(600)
-    two._go(0, two.master.renew(two.now))
+    assert two.slave.address == HOME
+    assert two.master.associations == two.slave.associations == 1
+    assert two.master.trouble is two.slave.trouble is None
+    for end in (0, 1):
+        assert two.next_at(end, 0) < 300
+        assert len(two.came[end]) == len({number for _, number in two.came[end]})
+    two.go(0, two.master.renew(two.now))
     two.run(1000)
     assert two.master.associations == two.slave.associations == 2
     for end in (0, 1):
-        sent = [number for number in two.sent[1 - end] if 300 <= number < 1500]
+        sent = [number for number in two.sent[end] if 300 <= number < 1500]
         assert set(sent) <= {number for _, number in two.came[end]}
     for link in (two.master, two.slave):  # flights that came again, and at first data that overtook the last one
         assert set(link.dropped) <= {Dropped.EPOCH, Dropped.EARLY}
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("who", ["master", "slave"])
+@pytest.mark.parametrize(("who", "seed"), [("master", 0), ("slave", 1)])
 def test_an_end_that_was_killed_is_met_again_by_itself(world: Callable[..., World], who: str, seed: int) -> None:
     two = world("delay(0.02) | uniform(0.04) | bernoulli(0.3) | duplicate(0.1, after=0.01)", seed)
     two.run(3000)
-    two.run(1500, dead=who)
-    two.start_master() if who == "master" else two.start_slave()
-    back = two.now // MS
+    back = two.restart(who, 1500)
     two.run(6000)
     for end in (0, 1):
-        assert two.quiet_until(end, back + 100) < back + 5500
+        assert two.next_at(end, back + 100) < back + 5500
     late = [when for when, _ in two.came[0]][-1]
     assert late > back + 5800
 
 
-@pytest.mark.parametrize("after", range(20, 120, 10))
+@pytest.mark.parametrize("after", range(20, 120, 20))
 def test_an_end_that_was_killed_in_the_middle_of_a_handshake_is_met_again_soon(
     world: Callable[..., World], after: int
 ) -> None:
@@ -126,7 +58,7 @@ def test_an_end_that_was_killed_in_the_middle_of_a_handshake_is_met_again_soon(
     two.start_slave()
     back = two.now // MS
     two.run(4000)
-    assert two.quiet_until(1, back + 1) < back + 3500
+    assert two.next_at(1, back + 1) < back + 3500
 
 
 def test_who_waits_long_for_the_other_end_meets_it_all_the_same(world: Callable[..., World]) -> None:
@@ -157,7 +89,7 @@ def test_a_slave_that_answers_from_another_address_than_was_called_is_met(world:
     assert two.slave.ready
     assert two.master.address == OTHER_SLAVE
     assert two.master.associations == two.slave.associations == 1
-    assert two.quiet_until(0, 0) < 400
+    assert two.next_at(0, 0) < 400
     two.run(600, dead="slave")
     two.start_slave()
     two.run(4000)
@@ -193,7 +125,7 @@ def test_a_handshake_that_the_called_address_does_not_answer_is_heard_from_where
     assert master.associations == 1
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_an_observer_who_answers_first_and_wrongly_does_not_come_into_a_handshake(
     world: Callable[..., World], seed: int
 ) -> None:
@@ -201,7 +133,7 @@ def test_an_observer_who_answers_first_and_wrongly_does_not_come_into_a_handshak
     two, quiet = (world("delay(0.02) | uniform(0.01)", seed) for _ in range(2))
     for _ in range(300):
         for data, _ in two.master.due(two.now):
-            two._go(0, [(data, SLAVE)])
+            two.go(0, [(data, SLAVE)])
             found = records(data) or []
             for hello in [one for one in found if one.is_hello]:
                 body = b"\xfe\xff\x14" + bytes(20)
@@ -215,7 +147,7 @@ def test_an_observer_who_answers_first_and_wrongly_does_not_come_into_a_handshak
         quiet.run(STEP)
     assert two.master.ready
     assert two.master.address == SLAVE
-    assert two.quiet_until(0, 0) <= quiet.quiet_until(0, 0) + 50
+    assert two.next_at(0, 0) <= quiet.next_at(0, 0) + 50
 
 
 def test_any_address_of_this_machine_is_its_first(keys: list[Key]) -> None:
@@ -224,8 +156,7 @@ def test_any_address_of_this_machine_is_its_first(keys: list[Key]) -> None:
     assert [at for _, at in link.due(0)] == [LOOPBACK]
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("there", [SLAVE, OTHER_SLAVE])
+@pytest.mark.parametrize(("there", "seed"), [(SLAVE, 0), (OTHER_SLAVE, 1)])
 def test_a_stranger_who_does_not_see_the_hello_changes_nothing(
     world: Callable[..., World], keys: list[Key], there: tuple[str, int], seed: int
 ) -> None:
@@ -269,7 +200,7 @@ def test_a_long_silence_is_no_end(world: Callable[..., World]) -> None:
     two = world("delay(0.02) | blackout(2.0, 3.0)")
     two.run(7000)
     for end in (0, 1):
-        assert two.quiet_until(end, 5000) < 5200
+        assert two.next_at(end, 5000) < 5200
     assert SILENT_NS < 3_000 * MS
 
 
@@ -297,7 +228,7 @@ def test_a_copy_from_elsewhere_draws_nothing_to_itself(world: Callable[..., Worl
     assert {at for _, at in asked} == {HOME, AWAY}
     assert not two.slave.settled
     assert two.slave.receive(kept[0], AWAY, two.now)[0] != []  # one that was held back is taken
-    two._go(1, asked)
+    two.go(1, asked)
     two.run(200)
     assert two.slave.settled
     assert two.slave.address == HOME
@@ -321,7 +252,7 @@ def test_a_stranger_at_the_gate_changes_nothing(world: Callable[..., World], key
     two.run(1000)
     stranger = SecureLink.calling(keys[2], keys[1].fingerprint, SLAVE)
     now = two.now
-    for i in range(3000):
+    for i in range(600):
         flying = [(data, AWAY) for data, _ in stranger.due(now + i * MS)]
         while flying:
             _, back = two.slave.receive(flying[0][0], AWAY, now + i * MS)
@@ -339,7 +270,7 @@ def test_a_stranger_at_the_gate_changes_nothing(world: Callable[..., World], key
 def test_each_datagram_that_is_not_taken_counts_once(world: Callable[..., World]) -> None:
     two = world()
     two.run(600)
-    two._go(0, two.master.renew(two.now))
+    two.go(0, two.master.renew(two.now))
     two.run(400)
     before = two.slave.dropped.total()
     data = two.master.send(b"x") or b""
@@ -353,7 +284,7 @@ def test_each_datagram_that_is_not_taken_counts_once(world: Callable[..., World]
 def test_a_farewell_ends_it_and_the_caller_begins_anew(world: Callable[..., World]) -> None:
     two = world()
     two.run(600)
-    two._go(1, two.slave.close())
+    two.go(1, two.slave.close())
     two.start_slave()
     two.run(3000)
     assert two.master.trouble == "the other end has ended the association"

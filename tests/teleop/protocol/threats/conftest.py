@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from tests.teleop.protocol.ends import Both
 from tests.teleop.protocol.secure.conftest import associated, keys, meet
-from tests.teleop.protocol.test_endpoint import Both
 from tests.teleop.protocol.threats.hands import WATCHED
 
 __all__ = ["associated", "keys", "meet", "plain"]

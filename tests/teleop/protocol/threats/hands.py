@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import numpy as np
-
 from channel.link import parse_link
 from teleop.protocol.endpoint import Endpoint, Reading
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, Payload, encode
 from teleop.scene.playout import Fixed, Hold, Playout, Zero
 from teleop.scene.scene import Scene
-from teleop.simulation.structure import columns
 from teleop.stages.watchdog import Watchdog
-from tests.teleop.protocol.test_endpoint import MS, START, Both, scene
+from tests.teleop.protocol.ends import MS, START, Both, scene
 
 OURS, OTHER = 7, 700  # session numbers
 LINK = parse_link("delay(0.01)")
@@ -74,12 +71,6 @@ def handed_on(change: Change, given: Scene = WATCHED) -> Both:
         return under_way.pop(now, [])
 
     return Both(given, intruder=hands, silent=lambda _e, _k: True).run()
-
-
-def gains(both: Both, e: str = "s") -> np.ndarray[Any, Any]:
-    """What the guard let through, tick by tick."""
-    rows = np.reshape(both.rows[e], (both.scene.ticks, -1))
-    return rows[:, columns(both.scene, e).index(f"g_{e}")]
 
 
 TAKEOVER: list[tuple[Kind, Payload]] = [

@@ -1,4 +1,10 @@
-"""The published attacks on teleoperated surgery over ITP: what they get of two ends without keys."""
+"""The published attacks on teleoperated surgery, and the defects of the Raven II's receiver: what they get here.
+
+What "without keys" stands in the name of is not withstood: it is what one gets who can read the link and write to it,
+and why a link beyond this machine needs keys. With them nothing that was forged, changed or replayed comes as far as an
+endpoint (tests/teleop/protocol/secure, tests/live/test_sealed.py); to delay and to drop is left. That an end keeps to
+the address of its peer is a matter of sockets: tests/live/test_shell.py, tests/live/test_flood.py.
+"""
 
 from __future__ import annotations
 
@@ -13,35 +19,36 @@ import numpy as np
 import pytest
 
 from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.protocol.endpoint import Endpoint
-from teleop.protocol.packet import Echo, Kind, Packet, Payload, decode, encode
+from teleop.protocol.endpoint import Endpoint, Stepped
+from teleop.protocol.estimates import ROUNDS
+from teleop.protocol.manifest import manifest_of
+from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
 from teleop.protocol.session import RENEW_NS, Session
+from teleop.protocol.states import Cause
 from teleop.scene.playout import Fixed
 from teleop.stages.force_cap import Cap
-from tests.teleop.protocol.test_endpoint import MS, START, Both, met, scene
+from tests.teleop.protocol.ends import MS, START, Both, met, scene
 from tests.teleop.protocol.threats.hands import (
     LINK,
     MANIFEST,
     OTHER,
     OURS,
+    PLAYOUTS,
     STILL,
     TAKEOVER,
     WATCHED,
     at,
     control,
     data,
-    gains,
     handed_on,
     ticks,
 )
 
 
-@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("attack", ["delay", "drop", "reorder", "repeat", "all"])
-def test_whoever_delays_drops_reorders_and_repeats_draws_no_energy_from_the_link(attack: str, seed: int) -> None:
+def test_whoever_delays_drops_reorders_and_repeats_draws_no_energy_from_the_link(attack: str) -> None:
     """Keys do not keep anybody from that. The law claims to be passive over whatever link, this one among them."""
-    dice = random.Random(seed)
+    dice = random.Random(1)
 
     def change(_e: str, _k: int, datagram: bytes) -> list[tuple[int, bytes]]:
         after = {"delay": [10 + 40 * (_k > 100)], "drop": [10] * (dice.random() > 0.5),
@@ -58,28 +65,85 @@ def test_whoever_delays_drops_reorders_and_repeats_draws_no_energy_from_the_link
         assert all(isfinite(force) for force, in both.held[e])
 
 
+@pytest.mark.parametrize("playout", PLAYOUTS, ids=str)
+def test_raven_the_good_packet_after_a_gap_is_played_as_long_as_the_session_lives(playout: Any) -> None:
+    kept = replace(WATCHED, playout=playout)
+    for gap in (1, 14, 300, 900, 1090):
+        end = met(kept)["s"]
+        later = playout.ticks(MS) if isinstance(playout, Fixed) else 1
+        ticks(end, range(11), lambda k: [data(k - 1)] if k else [])
+        played = ticks(end, range(11, gap + 60), lambda k, gap=gap: [data(k - 1)] if k > 10 + gap else [])
+        if gap < 1000:
+            assert played[10 + gap + later - 11 :] == list(range(10 + gap, gap + 60 - later)), gap
+        else:
+            assert max(played[30:]) == -1
+            assert end.session.ended.cause is Cause.SESSION_OVER
+
+
+@pytest.mark.parametrize("playout", PLAYOUTS, ids=str)
+def test_raven_one_huge_sequence_number_does_not_block_what_follows(playout: Any) -> None:
+    """Of this session and well made: it is not played, and whatever honest comes after it is, from the next tick on."""
+    kept = replace(WATCHED, playout=playout)
+    honest = Both(kept).run()
+    for seq, cause in ((2**32 - 1, "old"), (10**9, "early")):
+        shot = {e: data(seq, to=e) for e in "ms"}
+        both = Both(kept, intruder=lambda k, _both, shot=shot: [*shot.items()] if k in (0, 50) else []).run()
+        assert both.played == honest.played
+        assert both.rows == honest.rows
+        for e in "ms":
+            assert dict(both.ends[e].rejected) == {cause: 2}
+            assert both.ends[e].way.count == honest.ends[e].way.count
+
+
+def test_raven_one_huge_sequence_number_does_not_block_a_stepped_end() -> None:
+    """Ends that step together are never two ticks apart."""
+    for seq in (2, 3, 10**9, 2**31, 2**32 - 1):
+        inbox = Stepped(None)
+        stepped = Endpoint(WATCHED, "s", met(WATCHED)["s"].session, inbox)
+        stepped.tick(0, at(0), STILL)
+        for one in (seq, 0):
+            stepped.receive(data(one), at(0))
+        assert (inbox.has(0), inbox.has(seq), sum(stepped.rejected.values())) == (True, False, 1), seq
+        assert stepped.tick(1, at(1), STILL).played == 0
+
+
+@pytest.mark.parametrize("playout", PLAYOUTS, ids=str)
+def test_raven_no_reset_of_the_sequence_makes_old_numbers_fresh_again(playout: Any) -> None:
+    """A second HELLO and START, of this session number or another, and all old packets behind them."""
+    kept = replace(WATCHED, playout=playout)
+    for session in (OURS, OTHER):
+        end = met(kept)["s"]
+        before = ticks(end, range(1, 101), lambda k: [data(k - 1)])
+        replies = [reply for kind, payload in ((Kind.HELLO, manifest_of(kept)), (Kind.START, at(101)), (Kind.START, 0))
+                   for reply in end.receive(control(kind, payload, session), at(101))]
+        kinds = [packet.kind for reply in replies if isinstance(packet := decode(reply, 1), Packet)]
+        assert kinds == ([Kind.START, Kind.START] if session == OURS else [])  # it is said once more that it has come
+        assert (end.session.number, end.session.start_ns, end.session.met) == (OURS, START, 1)
+        after = ticks(end, range(101, 161), lambda k: [*(data(old, 5.0) for old in range(100)), data(k - 1)])
+        numbers = [number for number in before + after if number >= 0]
+        assert all(one < other for one, other in pairwise(numbers))
+        assert max(after[:-1]) < after[-1] == 160 - (playout.ticks(MS) if isinstance(playout, Fixed) else 1)
+
+
+@pytest.mark.parametrize("session", [OURS, OTHER])
+def test_a_second_master_takes_nothing_over_and_moves_nothing_of_a_run(session: int, plain: Both) -> None:
+    words = [(e, control(kind, payload, session)) for kind, payload in TAKEOVER for e in "ms"
+             if session == OTHER or kind is not Kind.BYE]
+    both = Both(WATCHED, intruder=lambda k, _both: words if k % 4 == 0 else []).run()
+    assert both.rows == plain.rows
+    assert both.sent == plain.sent
+    for e in "ms":
+        end = both.ends[e].session
+        assert (end.number, end.start_ns, end.farewell, end.failure) == (OURS, START, None, None)
+        assert session == OURS or dict(both.ends[e].rejected) == {"session": len(TAKEOVER) * WATCHED.ticks // 4}
+
+
 def test_what_is_held_up_for_good_is_played_late_and_shows_in_the_delays() -> None:
     """Newest wins sets no bound to a message's age: a delay that lasts is a longer link, not a silence."""
     both = handed_on(lambda _e, k, datagram: [(10 if k < 100 else 110, datagram)])
     way = both.ends["s"].way
     assert (way.least, way.most) == (10 * MS, 110 * MS)
     assert both.played["s"][-1] == WATCHED.ticks - 1 - 110
-
-
-def test_what_is_held_up_longer_than_a_fixed_playout_is_never_played() -> None:
-    both = handed_on(lambda _e, k, datagram: [(10 if k < 100 else 110, datagram)],
-                     replace(WATCHED, playout=Fixed(0.02)))
-    assert max(both.played["s"]) == 99
-    gain = gains(both)
-    assert gain[100 + 20 - 1 + 51] < 1.0
-    assert gain[-1] == 0.0
-    assert both.held["s"][-1] == (0.0,)
-
-
-def test_content_that_was_changed_and_not_checksummed_anew_is_refused() -> None:
-    both = handed_on(lambda _e, _k, datagram: [(10, datagram[:24] + bytes(8) + datagram[32:])])
-    assert max(both.played["s"]) == max(both.played["m"]) == -1
-    assert set(both.ends["s"].rejected) == {"checksum"}
 
 
 def test_without_keys_content_that_was_checksummed_anew_is_believed_within_cap_and_slew() -> None:
@@ -118,30 +182,6 @@ def test_one_number_beyond_all_bounds_does_not_silence_an_end_for_good() -> None
     assert isinstance(decode(answers[-1].datagram or b"", 1), Packet)
 
 
-@pytest.mark.parametrize(("kind", "payload"), TAKEOVER, ids=lambda value: str(value)[:20])
-def test_a_second_master_of_another_session_takes_nothing_over(kind: Kind, payload: Payload, plain: Both) -> None:
-    word = control(kind, payload, OTHER)
-    both = Both(WATCHED, intruder=lambda _k, _both: [("m", word), ("s", word)]).run()
-    assert both.rows == plain.rows
-    for e in "ms":
-        session = both.ends[e].session
-        assert dict(both.ends[e].rejected) == {"session": WATCHED.ticks}
-        assert (session.number, session.start_ns, session.farewell, session.failure) == (OURS, START, None, None)
-
-
-@pytest.mark.parametrize(("kind", "payload"), TAKEOVER[:-1], ids=lambda value: str(value)[:20])
-def test_a_second_master_of_the_same_session_number_moves_nothing_of_a_run(
-    kind: Kind, payload: Payload, plain: Both
-) -> None:
-    word = control(kind, payload)
-    both = Both(WATCHED, intruder=lambda _k, _both: [("m", word), ("s", word)]).run()
-    assert both.rows == plain.rows
-    assert both.sent == plain.sent
-    for e in "ms":
-        session = both.ends[e].session
-        assert (session.number, session.start_ns, session.farewell) == (OURS, START, None)
-
-
 def test_an_emergency_stop_of_another_session_stops_nothing() -> None:
     end = met(WATCHED)["s"]
     dice = random.Random(1)
@@ -156,21 +196,6 @@ def test_without_keys_a_forged_farewell_with_the_right_session_number_stops_the_
     end = met(WATCHED)["s"]
     assert end.receive(control(Kind.BYE, "emergency stop"), at(0)) == []
     assert end.session.farewell == "emergency stop"
-
-
-@pytest.mark.parametrize("law", [None, Direct(), PFRA(alpha=0.2)], ids=str)
-def test_a_packet_that_is_thrown_back_at_its_sender_is_not_taken_for_the_others(law: Any) -> None:
-    """It says which way it was sent, whatever the law's two messages have in common."""
-    for e in "ms":
-        end = met(scene(law, link=LINK))[e]
-        own = end.tick(0, at(0), STILL).datagram
-        assert own is not None
-        end.receive(own, at(1))
-        assert end.tick(1, at(1), STILL).played == -1
-        assert sum(end.rejected.values()) == 1
-        assert end.received == 0
-        if law is None:
-            assert dict(end.rejected) == {"direction": 1}
 
 
 def test_a_mirror_on_the_link_changes_nothing_of_a_run(plain: Both) -> None:
@@ -196,11 +221,11 @@ def test_with_keys_a_record_that_is_thrown_back_at_its_sender_is_dropped_by_the_
 def test_packets_for_later_do_not_keep_honest_ones_out() -> None:
     """No more than one of each number, and none of them further ahead than the watchdog's timeout."""
     end = met(WATCHED)["s"]
-    for i in range(5000):
+    for i in range(1000):
         end.receive(data(10 + i % 40, 0.0), at(0))
-    assert ticks(end, range(1, 260), lambda k: [data(k - 1)]) == list(range(259))
+    assert ticks(end, range(1, 60), lambda k: [data(k - 1)]) == list(range(59))
     inbox: Any = end.inbox
-    assert (inbox.refused, inbox.duplicates) == (0, 5000)
+    assert (inbox.refused, inbox.duplicates) == (0, 1000)
 
 
 def test_without_keys_packets_for_later_fill_the_inbox_where_a_second_has_more_ticks_than_it_has_room() -> None:
@@ -283,3 +308,10 @@ def test_a_recorded_session_cannot_be_played_to_a_slave_be_it_started_anew_or_ru
         slave.receive(word, START - MS // 2)
     assert slave.session.number == (None if again else OTHER)
     assert ticks(slave, range(1, 101), lambda k: [plain.sent["m"][k - 1]]) == [-1] * 100
+
+
+
+def test_a_master_is_not_stopped_by_a_forged_clock() -> None:
+    master = Endpoint(WATCHED, "m", Session(master=True, manifest=MANIFEST, number=OURS))
+    for _ in range(ROUNDS):
+        master.receive(control(Kind.WELCOME, MANIFEST, sent_ns=2**63 - 1, echo=Echo(-(2**63), 0)), START)

@@ -19,7 +19,6 @@ from tests.teleop.protocol.threats.hands import (
     Change,
     control,
     data,
-    gains,
     handed_on,
     untouched,
 )
@@ -102,7 +101,7 @@ def test_each_fault_of_iec_61784_3_meets_its_measure(name: str) -> None:
         assert set(numbers) <= set(honest.played[e])
         assert all(one < other for one, other in pairwise(numbers))
         assert both.played[e][-100:] == honest.played[e][-100:]  # and it is over when it is over
-        gain = gains(both, e)
+        gain = both.gains(e)
         assert bool(gain.min() == 0.0) is fault.falls
         assert gain[-1] == 1.0
         if fault.falls:

@@ -18,12 +18,12 @@ from teleop.protocol.reception import IntegralCheck
 from teleop.scene.playout import Energy, Fixed, Integral
 from teleop.stages.force_cap import Cap
 from teleop.stages.wave_integral import Integrals
-from tests.teleop.protocol.test_endpoint import MS, ROUGH, Both, met, scene
-from tests.teleop.protocol.threats.hands import STILL, WATCHED, at, gains, handed_on
+from tests.teleop.protocol.ends import MS, ROUGH, Both, met, scene
+from tests.teleop.protocol.threats.hands import STILL, WATCHED, at, handed_on
 from tests.teleop.protocol.virtual_clock import World, healing
 
 INTEGRAL = replace(WATCHED, playout=Integral(), cap=Cap(f_max=2.0, slew=200.0))
-Lie = Callable[[Integrals], Integrals]
+Lie = Callable[[Integrals, int], Integrals]
 
 
 def lying(lie: Lie | None, ticks: range) -> Both:
@@ -35,32 +35,22 @@ def lying(lie: Lie | None, ticks: range) -> Both:
             packet = decode(datagram, 4)
             assert isinstance(packet, Packet)
             u, U, E, T = packet.payload  # type: ignore[misc]  # of a message of the law
-            told = lie(Integrals(T, U, E))  # type: ignore[arg-type]
+            told = lie(Integrals(T, U, E), k)  # type: ignore[arg-type]
             datagram = encode(packet._replace(payload=(u, told.U, told.E, told.T)), len(datagram))  # type: ignore[arg-type]
         return [(10, datagram)]
 
     return handed_on(change, INTEGRAL)
 
 
-@pytest.fixture(scope="module")
-def honest() -> Both:
-    return lying(None, range(0))
+def test_a_message_that_does_not_add_up_is_counted_and_as_one_that_was_lost() -> None:
+    """Times far ahead, ahead, back and below nothing; energies; a jump of the integral; beyond all squares."""
+    def lie(told: Integrals, k: int) -> Integrals:
+        T, U, E = told
+        lies = ((T + 1e9, U, E), (T + 0.01, U, E), (0.5 * T, U, E), (-T, U, E), (T, U, 0.0), (T, U, -1e9),
+                (T, U + 1.0, E), (T, 1e6, 1e9), (T, -1e308, 1e308))
+        return Integrals(*lies[k % len(lies)])
 
-
-@pytest.fixture(scope="module")
-def lost() -> Both:
-    return lying(None, range(100, 120))
-
-
-@pytest.mark.parametrize("lie", [
-    lambda told: told._replace(T=told.T + 1e9), lambda told: told._replace(T=told.T + 0.01),
-    lambda told: told._replace(T=0.5 * told.T), lambda told: told._replace(T=-told.T),
-    lambda told: told._replace(E=0.0), lambda told: told._replace(E=-1e9), lambda told: told._replace(U=told.U + 1.0),
-    lambda told: told._replace(U=1e6, E=1e9), lambda told: told._replace(U=-1e308, E=1e308),
-], ids=["far ahead", "ahead", "back", "below nothing", "no energy", "negative energy", "a jump of the integral",
-        "both jump", "numbers beyond all squares"])
-def test_a_message_that_does_not_add_up_is_counted_and_as_one_that_was_lost(lie: Lie, lost: Both) -> None:
-    both = lying(lie, range(100, 120))
+    both, lost = lying(lie, range(100, 120)), lying(None, range(100, 120))
     assert both.ends["s"].rejected == {"integrals": 20}
     assert not both.ends["m"].rejected
     assert both.rows == lost.rows
@@ -68,25 +58,25 @@ def test_a_message_that_does_not_add_up_is_counted_and_as_one_that_was_lost(lie:
     assert both.trace()["E_link"].min() > -1e-9
 
 
-def test_a_time_far_ahead_stopped_the_play_of_all_that_came_after_it(honest: Both) -> None:
-    both = lying(lambda told: told._replace(T=told.T + 1e9), range(100, 101))
-    x = [np.array(each.trace()["x_s"]) for each in (both, honest)]
+def test_a_time_far_ahead_stopped_the_play_of_all_that_came_after_it() -> None:
+    both = lying(lambda told, _k: told._replace(T=told.T + 1e9), range(100, 101))
+    x = [np.array(each.trace()["x_s"]) for each in (both, lying(None, range(0)))]
     assert np.abs(x[0] - x[1])[-1] < 0.02 * np.ptp(x[1])
 
 
 def test_whose_messages_never_add_up_is_as_one_that_is_silent() -> None:
-    both = lying(lambda told: told._replace(T=2.0 * told.T), range(100, 400))
+    both = lying(lambda told, _k: told._replace(T=2.0 * told.T), range(100, 400))
     assert both.ends["s"].rejected == {"integrals": WATCHED.ticks - 110}
-    gain = gains(both)
+    gain = both.gains()
     assert gain[110 - 1 + 51] < 1.0
     assert gain[-1] == 0.0
     assert both.held["s"][-1] == (0.0,)
 
 
-@pytest.mark.parametrize(("U", "E"), [(1e3, 1e9), (-1e3, 1e9), (1e6, 1e18), (1e150, 1e304)])
+@pytest.mark.parametrize(("U", "E"), [(-1e3, 1e9), (1e150, 1e304)])
 def test_a_peer_that_claims_endless_energy_is_bounded_by_cap_and_slew(U: float, E: float) -> None:
     """It adds up: such a wave could have been sent. So it is played, as far as force and slew may go."""
-    both = lying(lambda told: told._replace(U=U, E=E), range(100, 101))
+    both = lying(lambda told, _k: told._replace(U=U, E=E), range(100, 101))
     assert both.played["s"][110] == 100
     for e in "ms":
         force = np.array([0.0, *(f for f, in both.held[e])])
@@ -117,7 +107,7 @@ def test_a_peer_that_claims_endless_energy_gives_out_no_more_power_than_the_budg
 # What adds up is taken: by whatever wave, whatever ticks were left out, in whatever order it comes
 
 
-@pytest.mark.parametrize("playout", [Integral(), Integral(0.005), Energy(), Fixed(0.02, Integral())], ids=str)
+@pytest.mark.parametrize("playout", [Integral(0.005), Energy(), Fixed(0.02, Integral())], ids=str)
 def test_no_honest_message_is_refused_over_a_rough_link(playout: Integral | Energy | Fixed) -> None:
     both = Both(scene(link=parse_link(ROUGH), playout=playout)).run()
     assert min(both.ends[e].received for e in "ms") > 100
@@ -173,7 +163,7 @@ gaps = st.sampled_from([0, 0, 0, 1, 3])
 
 @given(st.lists(st.tuples(waves, gaps, gaps), min_size=2, max_size=40), st.integers(1, 5),
        st.sampled_from([1e-3, 1e-4, 0.1]), st.randoms(use_true_random=False), st.integers(0, 30))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100)
 def test_every_honest_message_adds_up_in_whatever_order_and_number(
     waves: list[tuple[float, int, int]], every: int, dt: float, dice: object, near: int
 ) -> None:
@@ -196,7 +186,7 @@ def test_a_steady_wave_adds_up_after_millions_of_ticks() -> None:
 
 @given(st.lists(st.builds(Integrals, *[st.floats(-inf, inf, allow_nan=False, allow_infinity=False)] * 3), max_size=8))
 @example([Integrals(2e-3, 1e-3, 0.0)])  # energy that is taken back while the integral stands
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100)
 def test_whatever_is_taken_grows_with_its_number(told: list[Integrals]) -> None:
     sums, taken = IntegralCheck(1e-3, 1), [Integrals(0.0, 0.0, 0.0)]
     for k, each in enumerate([Integrals(1e-3, 1e-3, 1e-3), *told]):
