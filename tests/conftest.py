@@ -13,6 +13,7 @@ what falls falls again; only the tests marked `fuzz` draw new ones, and print wh
 
 from __future__ import annotations
 
+import re
 import signal
 from functools import cache
 from pathlib import Path
@@ -30,6 +31,7 @@ TIMED = (
     "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/",
 )
 
+CLOCKLESS = ("tests/live/test_stepped.py", "tests/live/test_device_lock.py")  # with sockets or processes, by no clock
 STAND_INS = "tests/live/page/"
 REAL = ("test_real.py", "test_page_demo.py")  # of these files there: with the ends of a run
 
@@ -71,14 +73,13 @@ class ByFile(LoadScopeScheduling):  # type: ignore[misc]  # it has no types
         file = nodeid.split("::", 1)[0]
         if file.startswith(STAND_INS) and not file.endswith(REAL):
             return "stand-ins"
-        return "timed" if file.startswith(TIMED) and _is_live(file) else file
+        return "timed" if file.startswith(TIMED) and file not in CLOCKLESS and _is_live(file) else file
 
 
 @cache
 def _is_live(file: str) -> bool:
     """True of a file in which anything is marked `live` or has two ends; the others there need no clock."""
-    text = "" if not file.startswith("tests/live/") else (Path(__file__).parent.parent / file).read_text()
-    return not text or "mark.live" in text or "pair" in text
+    return re.search(r"mark\.live|\bpair\b", (Path(__file__).parent.parent / file).read_text()) is not None
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:

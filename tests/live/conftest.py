@@ -36,6 +36,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.plan import link_plans
 from tests.waiting import PATIENCE
 
+OWN = {**{key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}, "PYTHONPATH": str(ROOT)}
 DEVICES: dict[str, Callable[[Scene], Any]] = {"m": SimulatedMaster, "s": SimulatedSlave}
 
 
@@ -120,16 +121,30 @@ def pair(tmp_path: Path) -> Callable[..., Pair]:
 LOSSY = "delay(0.05) | bernoulli(0.05) | duplicate(0.05, after=0.002)"
 
 
+@dataclass(frozen=True)
+class Demo:
+    """A demo that is over: its folder, which is shared, and not to be written to; and what it printed."""
+
+    folder: Path
+    out: str
+    err: str
+
+
 @pytest.fixture(scope="session")
-def lossy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a demo of hard_wall, two seconds over a link that loses: shared, and not to be written to."""
+def demo_run(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    """A demo of hard_wall, two seconds over a link that loses."""
     folder = tmp_path_factory.mktemp("lossy") / "run"
-    words = ["demo", "hard_wall", "--set", "duration=2.0", "--link", LOSSY, "--out", str(folder), "--json"]
-    own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    done = subprocess.run([sys.executable, "-m", "teleop", *words], env={**own, "PYTHONPATH": str(ROOT)},
-                          cwd=folder.parent, capture_output=True, text=True, check=False, timeout=PATIENCE)
+    words = ["demo", "hard_wall", "--set", "duration=2.0", "--link", LOSSY, "--seed", "3", "--out", str(folder)]
+    done = subprocess.run([sys.executable, "-m", "teleop", *words], env=OWN, cwd=folder.parent, capture_output=True,
+                          text=True, check=False, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
-    return folder
+    return Demo(folder, done.stdout, done.stderr)
+
+
+@pytest.fixture(scope="session")
+def lossy(demo_run: Demo) -> Path:
+    """The folder of that demo."""
+    return demo_run.folder
 
 
 @dataclass
@@ -181,15 +196,12 @@ class Command:
 @pytest.fixture
 def command(tmp_path: Path) -> Iterator[Callable[..., Command]]:
     """`command("slave", ...)`: `python -m slave ...` in a folder of its own, and gone when the test is over."""
-    own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     started: list[Command] = []
 
-    def start(name: str, *arguments: str, stderr: int = subprocess.PIPE, **other: Any) -> Command:
-        process = subprocess.Popen(
-            [sys.executable, "-m", name, *arguments], cwd=tmp_path, env={**own, "PYTHONPATH": str(ROOT)}, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr, **other,
-        )
-        started.append(Command(process))
+    def start(name: str, *arguments: str, **other: Any) -> Command:
+        streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **other}
+        started.append(Command(subprocess.Popen(
+            [sys.executable, "-m", name, *arguments], cwd=tmp_path, env=OWN, text=True, **streams)))
         return started[-1]
 
     yield start

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,7 +10,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from teleop.scene.library import ROOT
+from tests.live.conftest import OWN
 from tests.waiting import until
 
 SHORT = {"m": "master", "s": "slave", "c": "channel"}
@@ -32,10 +31,9 @@ class Ordered:
     def start(self, who: str, *arguments: str) -> int:
         """Start one of them; the port that it listens on."""
         words = [part for name, value in self.knobs.items() for part in ("--set", f"{name}={value}")]
-        own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
         process = subprocess.Popen(
             [sys.executable, "-m", SHORT[who], self.scene, *words, "--json", "--orders", *arguments], cwd=self.out,
-            env={**own, "PYTHONPATH": str(ROOT)}, text=True, bufsize=1, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            env=OWN, text=True, bufsize=1, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         )
         self.processes[who], heard = process, self.events.setdefault(who, [])
 

@@ -165,7 +165,7 @@ def test_a_master_in_c_goes_on_with_a_slave_that_is_killed_and_started_again(
     assert lets_go_first(log)
 
 
-@pytest.mark.parametrize("ours", ["master", "slave"])
+@pytest.mark.parametrize("ours", [pytest.param("master", marks=pytest.mark.full), "slave"])
 def test_waves_and_what_they_come_to_add_up_between_an_end_in_c_and_either_of_ours(
     ours: str, command: Start, in_c: InC, tmp_path: Path
 ) -> None:

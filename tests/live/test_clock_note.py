@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from teleop.live.net.wire import Wire
-from teleop.live.summary import clock_note
+from teleop.live.net.wire import Wire, bind_udp
+from teleop.live.summary import clock_note, write_end
 from teleop.protocol.endpoint import SLEW
-from teleop.protocol.packet import DATA, Packet, decode, encode
-from teleop.scene.loading import load_scene
-from tests.live.conftest import summary
+from tests.live.conftest import make_shell, summary
 from tests.teleop.protocol.virtual_clock import MS, Clock, World, healing
 
-SECONDS = 100.0
+SECONDS = 40.0
 
 
 def world(ppm: float, **other: Any) -> World:
@@ -26,7 +23,7 @@ def world(ppm: float, **other: Any) -> World:
     return made.run(SECONDS)
 
 
-@pytest.mark.parametrize("ppm", [700.0, -700.0, 2000.0, -2000.0])
+@pytest.mark.parametrize("ppm", [1000.0, -2000.0])
 def test_clocks_of_2000_ppm_are_told_with_their_rate_and_by_how_much_the_grids_came_apart(ppm: float) -> None:
     both = world(ppm)
     for e, sign in (("m", 1), ("s", -1)):
@@ -44,17 +41,16 @@ def test_clocks_of_2000_ppm_are_told_with_their_rate_and_by_how_much_the_grids_c
     assert behind == pytest.approx(apart, abs=abs(ppm) / 1e3 + 5.0), "as far as the slave's grid really stayed behind"
 
 
-@pytest.mark.parametrize("ppm", [0.0, 200.0, -450.0])
-@pytest.mark.parametrize("jitter", [0, 15 * MS])
+@pytest.mark.parametrize(("ppm", "jitter"), [(-450.0, 0), (0.0, 15 * MS), (450.0, 15 * MS)])
 def test_clocks_that_the_grid_can_follow_are_no_note_however_the_link_jitters(ppm: float, jitter: int) -> None:
     both = world(ppm, jitter=jitter)
     assert [clock_note(both.end(e).link) for e in "ms"] == [None, None]
 
 
 def test_a_way_that_grows_is_not_taken_for_a_clock() -> None:
-    """By 80 ms in one direction alone, as a clock of 2,000 ppm does in 40 s."""
+    """By 40 ms in one direction alone, as a clock of 2,000 ppm does in 20 s."""
     both = World(healing())
-    for _ in range(40):
+    for _ in range(20):
         both.delay["m"] += 2 * MS
         both.run(1.0)
     assert [clock_note(both.end(e).link) for e in "ms"] == [None, None]
@@ -72,38 +68,15 @@ def test_clocks_that_came_apart_in_an_earlier_session_are_told_of_too() -> None:
     assert re.search(r"goes (2,9|3,0)\d\d ppm slower", note)
 
 
-class Fast(Wire):
-    """For this end the other's clock goes faster by 3,000 ppm."""
-
-    began: int | None = None
-    width, size = (0, 0), 0
-
-    def receive(self) -> Any:
-        got = super().receive()
-        packet = None if got is None or got[0] is None else decode(got[0], self.width[0])
-        if got is None or not isinstance(packet, Packet) or packet.kind not in DATA:
-            return got
-        self.began = self.began or packet.sent_ns
-        sent = self.began + round((packet.sent_ns - self.began) * 1.003)
-        return (encode(packet._replace(sent_ns=sent), self.size), *got[1:])
-
-    def send(self, data: bytes) -> None:
-        packet = decode(data, self.width[1])
-        if isinstance(packet, Packet) and packet.kind in DATA and packet.echo is not None and self.began is not None:
-            sent = self.began + round((packet.echo.sent_ns - self.began) / 1.003)
-            data = encode(packet._replace(echo=packet.echo._replace(sent_ns=sent)), self.size)
-        super().send(data)
-
-
-@pytest.mark.live
-def test_the_summary_has_the_note(pair: Callable[..., Any]) -> None:
-    scene = replace(load_scene("hard_wall", duration=6.5), link=None)
-    both = pair(scene, wire=Fast)
-    slave, master = both.shells["s"], both.shells["m"]
-    slave.wire.width = slave.endpoint.format.width, master.endpoint.format.width
-    slave.wire.size = slave.endpoint.format.size
-    both.run()
-    assert both.errors == {"m": None, "s": None}
-    told = [[note for note in summary(folder)["notes"] if "ppm" in note] for folder in both.write()]
-    assert [len(notes) for notes in told] == [0, 1]
-    assert "faster than this one's, and a slave's grid of ticks follows 500 ppm" in told[1][0]
+def test_the_summary_has_the_note(tmp_path: Path) -> None:
+    both = world(3000.0)
+    for e in "ms":
+        shell = make_shell(both.scene, e, Wire(bind_udp(("127.0.0.1", 0), "--listen"), None), tmp_path / e)
+        with shell.wire.sock:
+            shell.recorder.begin("bodies")
+            shell.endpoint.link = both.end(e).link
+            write_end(shell, tmp_path / e, 0, [])
+    told = [[note for note in summary(tmp_path / e)["notes"] if "ppm" in note] for e in "ms"]
+    assert [len(notes) for notes in told] == [1, 1]
+    assert "faster than this one's, and a slave's grid of ticks follows 500 ppm" in told[0][0]
+    assert "slower than this one's" in told[1][0]

@@ -1,4 +1,4 @@
-"""`teleop demo`: three processes started, watched, merged into one folder, and never left behind."""
+"""`teleop demo`: three processes started, watched, followed, merged into one folder, and never left behind."""
 
 from __future__ import annotations
 
@@ -20,9 +20,13 @@ from teleop.live.demo import EndOptions, demo
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
+from tests.live.conftest import Command, Demo
+from tests.teleop.export.test_stream import Receiver
 from tests.waiting import until
 
 pytestmark = pytest.mark.live
+
+
 Start = Callable[..., Any]
 ONE = ("hard_wall", "--set", "duration=1")
 LONG = ("hard_wall", "--set", "duration=600")
@@ -59,36 +63,34 @@ def until_all_run(one: Any, tmp_path: Path) -> dict[str, int]:
     return found
 
 
-def test_a_demo_ends_with_a_table_and_a_folder(command: Start, tmp_path: Path) -> None:
-    link = ("--link", "delay(0.05) | bernoulli(0.2)", "--seed", "3")
-    code, out, err = command("scenarios", "demo", *ONE, *link, "--out", "out").end()
-    assert code == 0
+def test_a_demo_ends_with_a_table_and_a_folder(demo_run: Demo) -> None:
+    out, err = demo_run.out, demo_run.err
     assert "\x1b" not in out + err
     assert "\r" not in out + err
     for row in ("tracking error", "force error", "force at the end", "delay seen", "packets", "late ticks", "real time",
                 "link energy", "time per tick"):
         assert f"\n{row} " in out
-    assert out.splitlines()[-1] == "written to out"
-    got = load_result(tmp_path / "out")
+    assert out.splitlines()[-1] == f"written to {demo_run.folder}"
+    got = load_result(demo_run.folder)
     assert (got.mode, got.status, got.scene) == ("live", "ok", "hard_wall")
-    assert 0 < got.ticks <= 1000
+    assert 0 < got.ticks <= 2000
     assert 0.045 < got.metrics["T_fwd_mean"] < 0.5
     assert got.metrics["E_link_min"] >= -1e-12
     for way in ("fwd", "bwd"):
         counts = got.packets[way]
         assert counts.rejected == {}
-        assert 0.1 < counts.lost / counts.sent < 0.3  # counted where it happens, in the channel
+        assert 0.01 < counts.lost / counts.sent < 0.12  # counted where it happens, in the channel
         assert counts.received + counts.lost + counts.in_flight == counts.sent
     for end in ("master", "slave"):
-        assert (tmp_path / "out" / end / "record.bin").is_file()
+        assert (demo_run.folder / end / "record.bin").is_file()
         assert {"late_us", "delay", "rtt", "clock"} <= set(got.extra[end])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("knobs", [
-    {"scene": "jittery_wan", "duration": "0.4"},
-    {"scene": "canonical", "duration": "0.3", "law": "pfra", "link": "uniform(0.01) | duplicate(0.1) ; delay(0.03)"},
-    {"scene": "local", "duration": "0.3", "law": "direct"},
-    {"scene": "soft_tissue", "duration": "0.3", "law": f"{ROOT}/scenarios/examples/law.py", "law.K": "300"},
+    {"scene": "canonical", "duration": "0.3", "law": f"{ROOT}/scenarios/examples/law.py", "law.K": "300",
+     "link": "uniform(0.01) | duplicate(0.1) ; delay(0.03)"},
+    pytest.param({"scene": "jittery_wan", "duration": "0.4"}, marks=pytest.mark.full),
+    pytest.param({"scene": "local", "duration": "0.3", "law": "direct"}, marks=pytest.mark.full),
 ])
 def test_a_stepped_demo_is_the_virtual_run_to_the_bit(knobs: dict[str, str], tmp_path: Path) -> None:
     name, given = knobs["scene"], {key: value for key, value in knobs.items() if key != "scene"}
@@ -106,9 +108,17 @@ def test_a_stepped_demo_is_the_virtual_run_to_the_bit(knobs: dict[str, str], tmp
 
 
 def test_a_demo_refused_the_rate_and_the_spin_that_its_ends_take(command: Start, tmp_path: Path) -> None:
-    code, out, err = command("scenarios", "demo", *ONE, "--rate", "500", "--spin", "--out", "out").end()
-    assert (code, err) == (0, "")
-    assert "ran to its end, 500 ticks of 0.002 s" in out
+    """And a scene may print what it likes: lines longer than any event are passed over, of stderr the end is kept."""
+    (tmp_path / "loud.py").write_text(
+        "import sys\nfrom scenarios import hard_wall\n\ndef scene(*, delay: float = 0.01):\n"
+        "    print('hello')\n    print('[1]')\n"
+        "    for _ in range(3):\n        print('x' * 3_000_000, flush=True)\n"
+        "        print('y' * 300_000, file=sys.stderr)\n"
+        "    return hard_wall.scene(delay=delay, duration=0.5)\n")
+    code, out, err = command("scenarios", "demo", "loud.py", "--rate", "500", "--spin", "--out", "out").end()
+    assert code == 0, err[-500:]
+    assert "ran to its end, 250 ticks of 0.002 s" in out
+    assert "written to out" in out
     for name in ("master", "slave"):
         typed = json.loads((tmp_path / "out" / name / "summary.json").read_text())["command"]
         assert typed[typed.index("--rate") + 1] == "500.0"
@@ -155,7 +165,7 @@ def test_a_demo_that_is_killed_takes_its_processes_with_it(command: Start, tmp_p
         assert json.loads((tmp_path / "out" / end / "summary.json").read_text())["status"] == "stopped"
 
 
-@pytest.mark.parametrize("name", ["master", "slave", "channel"])
+@pytest.mark.parametrize("name", ["slave", "channel", pytest.param("master", marks=pytest.mark.full)])
 def test_who_is_killed_is_said_and_the_others_stop_and_keep_their_records(
     name: str, command: Start, tmp_path: Path
 ) -> None:
@@ -167,31 +177,6 @@ def test_who_is_killed_is_said_and_the_others_stop_and_keep_their_records(
     for left in {"master", "slave"} - {name}:
         assert json.loads((tmp_path / "out" / left / "summary.json").read_text())["status"] == "stopped"
     assert all(gone(pid) for pid in started.values())
-
-
-def test_a_scene_may_print_what_it_likes(command: Start, tmp_path: Path) -> None:
-    (tmp_path / "loud.py").write_text(
-        "from scenarios import canonical\n\ndef scene(*, delay: float = 0.01):\n    print('hello')\n    print('[1]')\n"
-        "    return canonical.scene(delay=delay, duration=0.3)\n"
-    )
-    code, out, err = command("scenarios", "demo", "loud.py", "--out", "out").end()
-    assert (code, err) == (0, "")
-    assert "written to out" in out
-
-
-@pytest.mark.parametrize(("arguments", "words"), [
-    (("nowhere",), ["nowhere"]),
-    (("hard_wall", "--set", "k_e=-1"), ["k_e"]),
-    (("hard_wall", "--rate", "300"), ["--rate 300 is no whole part of the scene's 1000 Hz"]),
-    (("hard_wall", "--lockstep", "--spin"), ["--spin is for ends that tick by the clock", "leave one of them out"]),
-    (("hard_wall", "--out", "/dev/null/x"), ["cannot write to /dev/null/x"]),
-    (("canonical", "--set", "law=pfra", "--link", "dely(1)"), ["dely"]),
-])
-def test_a_wrong_demo_is_refused_before_anything_is_started(
-    arguments: tuple[str, ...], words: list[str], command: Start, tmp_path: Path
-) -> None:
-    command("scenarios", "demo", *arguments).refused(*words)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_on_a_terminal_one_line_is_written_over_itself(command: Start) -> None:
@@ -216,3 +201,32 @@ def test_on_a_terminal_one_line_is_written_over_itself(command: Start) -> None:
     assert all(re.search(r"  f [-\d./]+ N  queue [-\d./]+ ms  x [-\d./]+ mm", frame) for frame in frames)
     assert all("delay " in frame or "nothing heard" in frame for frame in frames)
     assert re.search(r"\d%  (\d+ s left  )?(\w+ )?(SAFE|f )", frames[-1]), "how much is done, and the numbers behind it"
+
+
+def test_every_row_of_a_demo_arrives_once_while_it_runs_and_the_stream_ends_with_it(
+    command: Callable[..., Command], tmp_path: Path
+) -> None:
+    receiver = Receiver()
+    try:
+        demo = command("teleop", "demo", "hard_wall", "--set", "duration=600", "--out", "run", "--json")
+        until((tmp_path / "run" / "master" / "record.bin").is_file)
+        follower = command("teleop", "stream", "run", "--plotjuggler", f"127.0.0.1:{receiver.at[1]}", "--json")
+        until(lambda: len(receiver.datagrams) > 20, "nothing arrived")
+        assert demo.process.poll() is None
+        demo.signal(signal.SIGINT)
+        code, _, err = demo.end()
+        assert code == 130, err
+        code, out, err = follower.end()
+        assert code == 0, err
+        told = json.loads(out)
+        assert told["over"]
+        assert told["unheard"] == 0
+    finally:
+        got = receiver.close()
+    rows = [row for datagram in got for row in datagram]
+    assert len(rows) == told["rows"]
+    for name, e in (("master", "m"), ("slave", "s")):
+        trace, own = load_result(tmp_path / "run" / name).trace, [row for row in rows if name in row]
+        assert [row["timestamp"] for row in own] == trace["t"].tolist()
+        assert [row[name][f"x_{e}"]["x"] for row in own] == trace[f"x_{e}"].tolist()
+        assert [row[name][f"f_{e}"]["x"] for row in own] == trace[f"f_{e}"].tolist()

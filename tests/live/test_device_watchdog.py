@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from teleop import load_result
 from teleop.bench.watchdog import BLOWS, FORCE, HANG, SCENE, Motor, trial
-from teleop.errors import DeviceError, Refused
+from teleop.errors import DeviceError
 from teleop.live.devices.device_watchdog import (
     ACKED,
     BEAT,
@@ -27,45 +27,32 @@ from teleop.live.devices.device_watchdog import (
     GONE_NS,
     SEEN,
     SIZE,
-    DeviceWatchdog,
     K,
     WatchedDevice,
     Watching,
-    open_zero,
 )
 from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.records.record import read_events
-from teleop.protocol.endpoint import Reading
 from teleop.protocol.guard import DEADLINE
+from tests.fakes import Body, raising
 from tests.live.conftest import Command, summary
 from tests.waiting import PATIENCE, until
 
+pytestmark = pytest.mark.live
 MS = 1_000_000
 ONE, ZERO = (1.0,), (0.0,)
 
 
-class Arm:
-    """A device that remembers what it held, and fails when it is told to."""
-
-    def __init__(self) -> None:
-        self.force, self.fails = ZERO, False
-        self.during: Callable[[], object] = lambda: None
-
-    def read(self, k: int) -> Reading:
-        return Reading(ZERO, ZERO, None)
-
-    def hold(self, force: tuple[float, ...]) -> None:
-        self.during()
-        if self.fails:
-            raise DeviceError("the amplifier is off")
-        self.force = force
+def meanwhile(act: Callable[[], object]) -> Callable[[Any], Any]:
+    """`holds` of a device: what happens while it is given a force."""
+    return lambda force: (act(), force)[1]
 
 
 class Bench:
     """Both sides on one page of memory and one clock, `ms`."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch | None = None) -> None:
-        self.arm, self.ms = Arm(), 1000.0
+        self.arm, self.ms = Body(mass=None), 1000.0
         self.words: Any = [0] * 8
         self.told: list[str] = []
         self.zeroed: list[float] = []
@@ -122,7 +109,7 @@ def test_a_force_that_is_renewed_is_left_alone_and_so_is_an_end_that_holds_none(
 
 def test_a_force_that_the_device_does_not_take_is_not_renewed(bench: Bench) -> None:
     bench.watched.hold(ONE)
-    bench.arm.fails = True
+    bench.arm.holds = raising(DeviceError("the amplifier is off"))
     for _ in range(20):
         with pytest.raises(DeviceError):
             bench.watched.hold(ONE)
@@ -131,7 +118,7 @@ def test_a_force_that_the_device_does_not_take_is_not_renewed(bench: Bench) -> N
 
 
 def test_the_first_force_is_watched_before_the_device_has_it(bench: Bench) -> None:
-    bench.arm.during = lambda: seen.append(bench.words[BEAT])
+    bench.arm.holds = meanwhile(lambda: seen.append(bench.words[BEAT]))
     seen: list[int] = []
     bench.watched.hold(ONE)
     assert seen == [bench.now()]
@@ -167,7 +154,7 @@ def test_a_force_that_comes_through_after_the_watchdog_acted_is_taken_back_at_on
             stood[0] = 1
             bench.look(300.0)
 
-    bench.arm.during = stand_still
+    bench.arm.holds = meanwhile(stand_still)
     if not seen:
         bench.watching._zero = lambda: None  # type: ignore[assignment] # and its zero was overwritten
     with pytest.raises(DeviceError, match="taken over"):
@@ -198,21 +185,22 @@ def test_a_device_whose_watchdog_does_not_answer_is_not_driven(bench: Bench) -> 
     assert bench.words[K] == 2
 
 
-@pytest.mark.parametrize("error", [OSError("busy"), ZeroDivisionError(), KeyboardInterrupt(), SystemExit(1)], ids=repr)
 def test_a_device_that_cannot_be_set_to_zero_is_tried_at_every_look_and_told_once(
-    bench: Bench, error: BaseException
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench.watched.hold(ONE)
-    bench.broken = error
-    bench.look(250.0)
-    assert len(bench.told) == 1
-    assert f"could not be set to zero: {type(error).__name__}" in bench.told[0]
-    assert not bench.watching.take_over()
-    bench.broken = None
-    bench.look(10.0)
-    assert "was set to zero" in bench.told[-1]
-    assert bench.watching.take_over()
-    assert bench.arm.force == ZERO
+    for error in (OSError("busy"), ZeroDivisionError(), KeyboardInterrupt(), SystemExit(1)):
+        bench = Bench(monkeypatch)
+        bench.watched.hold(ONE)
+        bench.broken = error
+        bench.look(250.0)
+        assert len(bench.told) == 1
+        assert f"could not be set to zero: {type(error).__name__}" in bench.told[0]
+        assert not bench.watching.take_over()
+        bench.broken = None
+        bench.look(10.0)
+        assert "was set to zero" in bench.told[-1]
+        assert bench.watching.take_over()
+        assert bench.arm.force == ZERO
 
 
 def test_a_device_that_is_held_after_the_run_is_held_without_a_watchdog() -> None:
@@ -263,33 +251,18 @@ def test_whatever_stands_still_for_however_long_no_force_outlives_its_deadline_a
             elif what == "both":
                 bench.ms += ms
             else:
-                bench.arm.during = lambda ms=ms: bench.look(ms)  # type: ignore[misc]
+                bench.arm.holds = meanwhile(lambda ms=ms: bench.look(ms))  # type: ignore[misc]
                 tick(ONE)
-                bench.arm.during = lambda: None
+                bench.arm.holds = None
         assert bench.words[ACKED] <= bench.words[FIRED]
         assert bench.words[DONE] <= bench.words[FIRED]
-
-
-@pytest.mark.parametrize(("target", "words"), [
-    ("no_such_module:zero", "ModuleNotFoundError"), ("json:nothing", "AttributeError"), ("json:loads", "TypeError"),
-    ("os:getcwd", "let it return the function"),
-])
-def test_a_watchdog_that_cannot_open_its_device_says_why(target: str, words: str) -> None:
-    with pytest.raises(Refused, match=words):
-        open_zero(target, [])
-
-
-@pytest.mark.parametrize("wrong", [{"open": "my_arm"}, {"open": ":zero"}, {"open": "a:b", "deadline": 0.0}])
-def test_a_watchdog_that_names_no_function_or_no_time_is_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(Refused):
-        DeviceWatchdog(**wrong)
 
 
 # Live
 
 
-@pytest.mark.live
-@pytest.mark.parametrize("blow", BLOWS)
+@pytest.mark.parametrize("blow", [
+    blow if blow == "SIGKILL" else pytest.param(blow, marks=pytest.mark.full) for blow in BLOWS])
 def test_the_force_of_an_end_that_no_signal_reaches_ends_at_zero(blow: str, tmp_path: Path) -> None:
     took, _ = trial(BLOWS[blow][0], tmp_path)
     assert 0.0 < took < PATIENCE
@@ -342,7 +315,6 @@ def site(command: Callable[..., Command], tmp_path: Path) -> Iterator[Callable[.
     until(lambda: not any(one.watchdogs() for one in sites), "a watchdog stays behind")
 
 
-@pytest.mark.live
 def test_an_end_that_was_stopped_goes_on_in_the_safe_state_and_its_watchdog_is_armed_again(
     site: Callable[..., Site]
 ) -> None:
@@ -351,7 +323,6 @@ def test_an_end_that_was_stopped_goes_on_in_the_safe_state_and_its_watchdog_is_a
         until(one.pushes, "no force came about")
         one.slave.signal(signal.SIGSTOP)
         until(lambda: one.motor.force == 0.0, "the force was not set to zero")
-        time.sleep(0.3)
         one.slave.signal(signal.SIGCONT)
     until(one.pushes, "the force did not come back")
     one.slave.signal(signal.SIGTERM)
@@ -364,7 +335,6 @@ def test_an_end_that_was_stopped_goes_on_in_the_safe_state_and_its_watchdog_is_a
     assert whats.count("released") >= 2
 
 
-@pytest.mark.live
 def test_an_end_that_was_stopped_for_longer_than_its_device_holds_a_force_begins_at_zero(
     command: Callable[..., Command], tmp_path: Path
 ) -> None:
@@ -374,7 +344,7 @@ def test_an_end_that_was_stopped_for_longer_than_its_device_holds_a_force_begins
     while not (slave.event("live")["k"] > 300 and slave.event("live")["gain"] == 1.0):
         pass
     slave.signal(signal.SIGSTOP)
-    time.sleep(0.4)
+    time.sleep(0.6)
     slave.signal(signal.SIGCONT)
     while slave.event("live")["gain"] < 1.0:
         pass
@@ -382,15 +352,14 @@ def test_an_end_that_was_stopped_for_longer_than_its_device_holds_a_force_begins
     assert slave.end()[0] == 0
     trace = load_result(tmp_path / "slave").trace
     after = int(np.argmax(np.diff(trace["t"]))) + 1
-    assert trace["t"][after] - trace["t"][after - 1] > 0.35
+    assert trace["t"][after] - trace["t"][after - 1] > 0.55
     assert np.abs(trace["f_s"][after - 50:after]).max() > 0.1, "there was a force that could come back"
     assert (trace["g_s"][after], trace["f_s"][after]) == (0.0, 0.0)
-    assert max(np.diff(trace["g_s"][after:])) < 0.1
+    assert max(np.diff(trace["g_s"][after:]) / np.diff(trace["t"][after:])) < 100.0, "along a ramp, not at once"
 
 
-@pytest.mark.live
 def test_an_end_that_ends_cleanly_takes_its_watchdog_with_it_and_is_not_zeroed(site: Callable[..., Site]) -> None:
-    one = site("--set", "duration=1")
+    one = site("--set", "duration=0.6")
     until(one.watchdogs, "there is no watchdog")
     assert one.slave.end()[0] == 0
     assert one.watchdogs() == []
@@ -399,10 +368,15 @@ def test_an_end_that_ends_cleanly_takes_its_watchdog_with_it_and_is_not_zeroed(s
     assert one.motor.zeroed_ns == 0 or acted, "without a stall of this machine"
 
 
-@pytest.mark.live
-def test_a_watchdog_outlives_every_signal_that_can_be_ignored(site: Callable[..., Site]) -> None:
+def test_two_ends_do_not_drive_one_device_and_a_watchdog_outlives_every_signal_that_can_be_ignored(
+    site: Callable[..., Site]
+) -> None:
+    """And lets go of a driver that hangs then."""
     one = site()
     until(one.pushes, "no force came about")
+    one.start("second").refused("another end drives this device already", "teleop.bench.watchdog:zeroing",
+                                f"for example by kill {one.slave.process.pid}")
+    assert not (one.folder / "second").exists()
     (watchdog,) = one.watchdogs()
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGALRM", "SIGTSTP"):
         os.kill(watchdog, signal.Signals[name])
@@ -415,7 +389,6 @@ def test_a_watchdog_outlives_every_signal_that_can_be_ignored(site: Callable[...
     until(lambda: not one.watchdogs(), "a watchdog stays behind")
 
 
-@pytest.mark.live
 def test_an_end_whose_watchdog_was_killed_lets_go_and_says_so(site: Callable[..., Site]) -> None:
     one = site()
     until(one.pushes, "no force came about")
@@ -427,7 +400,6 @@ def test_an_end_whose_watchdog_was_killed_lets_go_and_says_so(site: Callable[...
     assert one.motor.force == 0.0
 
 
-@pytest.mark.live
 def test_an_end_that_is_started_again_is_never_zeroed_by_the_watchdog_of_the_one_before(
     site: Callable[..., Site]
 ) -> None:
@@ -440,18 +412,9 @@ def test_an_end_that_is_started_again_is_never_zeroed_by_the_watchdog_of_the_one
     one.slave.live(lambda numbers: numbers["gain"] == 1.0)  # how much it pushes depends on how far the hand has come
     assert len(one.watchdogs()) == 1
     began = one.motor.zeroed_ns
-    time.sleep(1.0)
+    time.sleep(0.5)
     acted = [event for event in read_events(one.folder / "again") if event["what"] == "watchdog"]
     assert one.motor.zeroed_ns == began or acted, "without a stall of this machine"
-
-
-@pytest.mark.live
-def test_two_ends_do_not_drive_one_device(site: Callable[..., Site]) -> None:
-    one = site()
-    until(one.pushes, "no force came about")
-    one.start("second").refused("another end drives this device already", "teleop.bench.watchdog:zeroing",
-                                f"for example by kill {one.slave.process.pid}")
-    assert not (one.folder / "second").exists()
 
 
 PROGRAM = """
@@ -471,7 +434,6 @@ raise SystemExit(end_main("s", make))
 """
 
 
-@pytest.mark.live
 def test_a_watchdog_whose_module_runs_the_end_is_told_how_to_write_it(
     command: Callable[..., Command], tmp_path: Path
 ) -> None:
@@ -481,7 +443,6 @@ def test_a_watchdog_whose_module_runs_the_end_is_told_how_to_write_it(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.live
 def test_a_watchdog_finds_a_device_module_that_lies_beside_the_scene_alone(
     command: Callable[..., Command], tmp_path: Path
 ) -> None:

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.errors import Refused
 from teleop.live.net.filter import LONGEST, Shape, attach, detach, of_records, of_session, program
 from teleop.live.net.wire import Wire
 from teleop.protocol.packet import DATA, VERSION, Echo, Kind, Packet, encode
@@ -203,22 +202,6 @@ def test_a_closed_socket_or_a_program_that_the_kernel_does_not_take_is_no_error(
     assert not detach(gone)
     assert not attach(ends.here, b"\xff" * 8), "no such instruction"
     assert ends.come(b"anything") == [b"anything"]
-
-
-@pytest.mark.parametrize("wrong", [
-    {"least": -1}, {"least": 5, "most": 4}, {"most": LONGEST + 1}, {"has": ((-1, b"x"),)}, {"rest_at": -1},
-    {"has": ((3, b"BT"),), "most": 4}, {"rest_at": 3, "most": 4},
-], ids=str)
-def test_a_shape_that_no_datagram_has_is_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(Refused, match="write"):
-        Shape(**wrong)  # type: ignore[arg-type]
-
-
-def test_a_program_longer_than_the_kernel_takes_is_refused() -> None:
-    with pytest.raises(Refused, match="fewer bytes"):
-        program(Shape(has=((0, bytes(1000)),)))
-    with pytest.raises(Refused, match="fewer shapes"):
-        program(*[Shape(has=((0, bytes(16)),))] * 500)
 
 
 def test_a_filter_is_taken_off_again_though_the_peer_could_not_be_connected_to() -> None:

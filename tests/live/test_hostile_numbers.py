@@ -1,4 +1,4 @@
-"""A peer with a key that sends numbers as large as there are: whatever comes of them, each end leaves a summary."""
+"""What a live run makes of numbers as large as there are, and of ticks that are left out."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from typing import Any
 
 import pytest
 
-from teleop import load_result, load_scene
+from channel import LeftOut
+from teleop import load_result, load_scene, run
 from teleop.live.records.merge import merge
-from teleop.scene.scene import Scene
+from teleop.scene.loading import live_knobs
+from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.metrics import worked_out
 
 pytestmark = pytest.mark.live
@@ -46,9 +48,9 @@ def strict(folder: Path) -> dict[str, Any]:
     return told
 
 
-@pytest.mark.parametrize("size", [1e308, 1e160])
-@pytest.mark.parametrize("e", ["m", "s"])
-@pytest.mark.parametrize("name", ["hard_wall", "rubber"])
+@pytest.mark.parametrize(("name", "e", "size"), [
+    ("hard_wall", "m", 1e308), ("rubber", "s", 1e160), *[pytest.param(*each, marks=pytest.mark.full) for each in (
+        ("hard_wall", "s", 1e308), ("rubber", "m", 1e308), ("hard_wall", "m", 1e160))]])
 def test_a_peer_that_sends_waves_of_1e308_leaves_a_summary_and_no_traceback(
     name: str, e: str, size: float, pair: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -85,3 +87,14 @@ def test_what_a_killed_end_left_of_such_a_run_is_made_whole(pair: Callable[..., 
         (folder / "trace.npz").unlink()
         assert "without a word" in load_result(folder).sentence
         strict(folder)
+
+
+def test_a_pressed_wall_keeps_its_force_with_half_of_the_ticks_left_out() -> None:
+    """With zeros in the gaps the force was 0.0 N at 44 % of ticks left out."""
+    scene = both_ends(load_scene("hard_wall", **live_knobs("hard_wall", {"duration": "4"})))
+    pressed = run(load_scene("hard_wall", duration=4.0)).metrics["f_m_end"]
+    assert pressed > 2.0
+    for share in (0.1, 0.44):
+        trace = run(replace(scene, left_out_m=LeftOut(share), left_out_s=LeftOut(share))).trace
+        for name in ("f_m", "f_s"):
+            assert trace[name][-100:].mean() > 0.8 * pressed, (share, name)

@@ -16,7 +16,7 @@ from teleop.law import find_law
 from teleop.laws.direct import Direct
 from teleop.live.in_process import run_stepped
 from teleop.stages.watchdog import Watchdog
-from tests.live.test_stepped import OVERFLOW, ROUGH, SCENES, SEED, TWO_PORT, UNSTABLE, equal, in_three_axes, scene
+from tests.live.test_stepped import DIVERGING, OVERFLOW, ROUGH, SCENES, SEED, TWO_PORT, equal, in_three_axes, scene
 
 SIMULATED: dict[str, Any] = {"m": SimulatedMaster, "s": SimulatedSlave}
 
@@ -34,7 +34,8 @@ def test_the_run_of_two_ends_in_one_process_is_the_virtual_run(name: str) -> Non
     same(SCENES[name])
 
 
-@pytest.mark.parametrize("name", TWO_PORT)
+@pytest.mark.parametrize("name", [
+    name if name in ("wave", "four_channel") else pytest.param(name, marks=pytest.mark.full) for name in TWO_PORT])
 def test_of_every_law_in_three_axes_over_a_rough_link_with_a_watchdog(name: str) -> None:
     from channel.link import parse_link
 
@@ -42,10 +43,7 @@ def test_of_every_law_in_three_axes_over_a_rough_link_with_a_watchdog(name: str)
                        watchdog=Watchdog(timeout=0.02, ramp=0.02)))
 
 
-@pytest.mark.parametrize("of", [
-    UNSTABLE, replace(UNSTABLE, link=None), scene(x_limit=1e-3, start_m=0.5), scene(x_limit=1e-3, start_s=0.5),
-    OVERFLOW,
-], ids=["grows", "no link", "the master at once", "the slave at once", "a force that is not finite"])
+@pytest.mark.parametrize("of", [*DIVERGING.values(), OVERFLOW], ids=[*DIVERGING, "overflow"])
 def test_a_run_that_diverges_does_so_at_the_same_tick_and_says_the_same(of: Scene) -> None:
     assert run(of, seed=SEED).status == "diverged"
     same(of)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from dataclasses import replace
 from typing import Any
@@ -20,19 +19,10 @@ from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.structure import columns
 from teleop.stages.deadband import Deadband
 from teleop.terminal.progress import Progress
+from tests.fakes import Terminal
 
 USUAL = {"end": "m", "k": 9999, "x": 0.0573, "f": -0.01, "delay": 0.0506, "rtt": 0.1004, "jitter": 0.00012,
          "loss": 0.014, "gain": 1.0, "cause": None, "queue": 0.0007}
-
-
-class Terminal(io.StringIO):
-    """A terminal of 80 columns."""
-
-    def isatty(self) -> bool:
-        return True
-
-    def fileno(self) -> int:
-        return 1
 
 
 def shown(monkeypatch: pytest.MonkeyPatch, *ends: dict[str, Any], done: float = 5000.0) -> str:

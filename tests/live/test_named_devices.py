@@ -1,25 +1,27 @@
-"""Devices and robots by name: `NAME`, `NAME:ARGUMENT`, `FILE.py:CLASS`, and what is said of a wrong one."""
+"""Devices and robots by name: `NAME`, `NAME:ARGUMENT`, `FILE.py:CLASS`, a recorded motion; runs with them."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from slave.__main__ import main as slave_main
 from slave.robot import SimulatedSlave
-from teleop import Reading, Refused, load_scene
+from teleop import Reading, Refused, load_scene, run
 from teleop.__main__ import main
 from teleop.live.devices.opening import find_device
 from teleop.naming import DEVICE_KINDS
 from teleop.scene.catalogue import device_line
+from teleop.simulation.result import read_result
 
 SCENE = load_scene("hard_wall", duration=0.1)
 OWN = """
 from teleop import Reading
 
 
-class {name}:
+class Arm:
     deadline = 0.1
 
     def __init__(self, scene, port="none"):
@@ -52,51 +54,119 @@ def test_a_name_alone_is_listed_with_the_options_that_take_it(capsys: pytest.Cap
     assert "--robot csv   A recorded motion of a slave" in told
 
 
-@pytest.mark.parametrize(("options", "words"), [
-    (["--robot", "mine.py", "--lockstep"], "so it is for what is simulated, and mine.py does not say that it is"),
-    (["--robot", "mine.py", "--lockstep", "--watchdog"], "--watchdog is for ends that go by the clock"),
-    (["--watchdog"], "give it one by --robot NAME"),
-    (["--robot", "mine.py:Arm:/dev/x", "--set", "law=direct"], "the slave's device senses none"),
-])
-def test_an_end_that_cannot_be_driven_by_its_device_is_refused_before_it_listens(
-    options: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("mine.py").write_text(OWN.format(name="Arm"))
-    assert slave_main(["hard_wall", "--listen", "127.0.0.1:0", "--quiet", *options]) == 2
-    assert words in capsys.readouterr().err
-
-
 def test_a_file_of_ones_own_needs_no_class_where_it_has_one_and_takes_an_argument(tmp_path: Path) -> None:
     file = tmp_path / "arm.py"
-    file.write_text(OWN.format(name="Arm"))
+    file.write_text(OWN)
     assert find_device("m", str(file)).open(SCENE).read(0) == Reading((0.5,), (0.0,))
     assert find_device("m", f"{file}:Arm:/dev/ttyACM0").open(SCENE).port == "/dev/ttyACM0"  # type: ignore[attr-defined]
     assert find_device("s", f"{file}:Arm").open(SCENE).port == "none"  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(("e", "text", "words"), [
-    ("s", "simulatedd", "there is no robot 'simulatedd'; did you mean simulated?"),
-    ("m", "mujoco", "mujoco is a robot, and this end takes a device; give it to the other end by --robot mujoco"),
-    ("s", "csv", "there is nothing; write csv:PATH"),
-    ("s", "csv:", "--robot csv: has nothing behind its colon"),
-    ("s", "simulated:3", "simulated takes nothing behind its name, and '3' stood there"),
-    ("m", "gamepad", "type `teleop demo hard_wall --page`"),
-    ("m", "no_such.py:Arm", "there is no file no_such.py; --device FILE.py names a file"),
+ONE = load_scene("hard_wall", duration=1.0, delay=0.01)
+THREE = load_scene("recorded_reach", duration=1.0, delay=0.01)
+
+
+@pytest.mark.parametrize(("scene", "e", "force"), [(ONE, "m", "f_h"), (ONE, "s", "f_env"), (THREE, "s", "f_env")])
+def test_what_was_exported_is_read_again_to_the_bit_at_every_tick(
+    scene: object, e: str, force: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = run(scene)  # type: ignore[arg-type]
+    (tmp_path / "run").mkdir()
+    result.write(tmp_path / "run", [])
+    assert main(["export", str(tmp_path / "run"), "--csv", str(tmp_path / "run.csv")]) == 0, capsys.readouterr().err
+    device = find_device(e, f"csv:{tmp_path / 'run.csv'}").open(scene)  # type: ignore[arg-type]
+    x, v, f = (result.trace[name].reshape(len(result.trace["t"]), -1) for name in (f"x_{e}", f"v_{e}", force))
+    device.hold((5.0,) * x.shape[1])
+    assert x.any()
+    for k in range(len(x)):
+        assert device.read(k) == Reading(tuple(x[k]), tuple(v[k]), tuple(f[k]))
+
+
+def test_a_recorded_reach_has_the_slope_behind_each_row_for_its_velocity_and_rests_at_its_ends(tmp_path: Path) -> None:
+    (tmp_path / "reach.csv").write_text("# by hand\nt, x\n0.010, 1\n0.020, 2\n0.040, 3\n")
+    device = find_device("m", f"csv:{tmp_path / 'reach.csv'}").open(ONE)
+    got = [(k, device.read(k).x[0], device.read(k).v[0]) for k in (0, 10, 15, 20, 30, 40, 41)]
+    assert got == [(0, 1.0, 0.0), (10, 1.0, 0.0), (15, pytest.approx(1.5), pytest.approx(100.0)),
+                   (20, 2.0, pytest.approx(100.0)), (30, pytest.approx(2.5), pytest.approx(50.0)),
+                   (40, 3.0, pytest.approx(50.0)), (41, 3.0, 0.0)]
+    assert device.read(15).f is None
+
+
+@pytest.mark.parametrize(("text", "scene", "words"), [
+    ("", ONE, "holds no motion"), ("t,x\n", ONE, "has names of columns and no row"),
+    ("t,x,y\n0,1,2\n", ONE, "holds a motion along 2 axes, and the scene has 1 (x); take a scene of 2"),
+    ("0,1,2\n", ONE, "holds a motion along 2 axes"),
+    ("t,x_m,v_m\n0,1,2\n", THREE, "holds a motion along 1 axis, and the scene has 3 (x, y, z)"),
+    ("t,x_s,v_s\n0,1,2\n", ONE, "has the slave's motion, x_s, and none of this end, x_m"),
+    ("t,x_m_a,x_m_b,x_m_c\n0,1,2,3\n", THREE, "has the axes x_m_a, x_m_b, x_m_c, and the scene's are x_m_x"),
+    ("time,x\n0,1\n", ONE, "has no column t, the time in s; it has time, x"),
+    ("t,q\n0,1\n", ONE, "has no column x_m, nor x; it has t, q"),
+    ("part,t,x_m\n1,0,1\n", ONE, "has several parts of a run"),
+    ("t,x\n0,1\n0,2\n", ONE, "line 3: t = 0 s does not come after 0 s"),
+    ("t,x\n0,1\n1,\n", ONE, "line 3 has nothing in its column x"), ("t,x\n0,1\n1\n", ONE, "line 3 has nothing"),
+    ("t,x\n0,NaN\n", ONE, "line 2: x is 'NaN' and no finite number"), ("t,x\n0,far\n", ONE, "x is 'far'"),
+    ("t,x_m_x,x_m_y,x_m_z,v_m_x\n0,1,2,3,4\n", THREE, "has v_m_x and no v_m_y and v_m_z"),
 ])
-def test_a_wrong_name_is_answered_with_what_to_type(e: str, text: str, words: str) -> None:
+def test_a_file_that_is_no_such_motion_is_refused(text: str, scene: object, words: str, tmp_path: Path) -> None:
+    (tmp_path / "it.csv").write_text(text)
     with pytest.raises(Refused) as refused:
-        find_device(e, text).open(SCENE)
+        find_device("m", f"csv:{tmp_path / 'it.csv'}").open(scene)  # type: ignore[arg-type]
     assert words in str(refused.value)
 
 
-def test_a_file_with_two_devices_asks_which_one_and_one_with_none_says_what_a_device_is(tmp_path: Path) -> None:
-    file = tmp_path / "two.py"
-    file.write_text(OWN.format(name="Left") + OWN.format(name="Right"))
-    with pytest.raises(Refused, match=r"has 2 devices; name one of them, .*two.py:Left or .*two.py:Right"):
-        find_device("s", str(file))
-    with pytest.raises(Refused, match="has no 'Lefft'; did you mean Left"):
-        find_device("s", f"{file}:Lefft")
-    file.write_text("x = 1")
-    with pytest.raises(Refused, match=r"has no robot: a class with read\(k\) and hold\(force\)"):
-        find_device("s", str(file))
+def test_a_motion_in_rad_is_not_played_along_an_axis_in_m(tmp_path: Path) -> None:
+    """Six joints were played as metres: what an export has beside it was not read."""
+    joints = load_scene("leader_follower", duration=0.1)
+    result = run(joints)
+    (tmp_path / "run").mkdir()
+    result.write(tmp_path / "run", [])
+    assert main(["export", str(tmp_path / "run"), "--csv", str(tmp_path / "run.csv")]) == 0
+    text = f"csv:{tmp_path / 'run.csv'}"
+    assert find_device("m", text).open(joints).read(0).x == (0.0,) * 6
+    with pytest.raises(Refused, match="has x_m_base in rad, and that axis of the scene is in m; take the scene"):
+        find_device("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))
+    (tmp_path / "run.csv-metadata.json").write_text("[1")
+    find_device("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))
+
+
+SHORT = ["--set", "duration=0.3", "--link", "delay(0.02) | uniform(0.01) | bernoulli(0.1)", "--seed", "3"]
+
+
+def ran(capsys: pytest.CaptureFixture[str], out: Path, *words: str) -> dict[str, Any]:
+    """The summary that `teleop run` prints."""
+    assert main(["run", *words, "--out", str(out), "--json"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_with_the_simulated_ones_named_it_is_the_run_without_a_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain = ran(capsys, tmp_path / "plain", "arm", *SHORT)
+    named = ran(capsys, tmp_path / "named", "arm", *SHORT, "--device", "simulated", "--robot", "simulated")
+    own = ("command", "run_time", "path")
+    assert {k: v for k, v in named.items() if k not in own} == {k: v for k, v in plain.items() if k not in own}
+    one, other = (read_result(tmp_path / name).trace for name in ("plain", "named"))
+    assert list(one) == list(other)
+    assert all(one[name].tobytes() == other[name].tobytes() for name in one)
+
+
+def test_a_robot_in_mujoco_leaves_a_folder_as_every_run_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
+    summary = ran(capsys, tmp_path / "run", "arm", *SHORT, "--robot", "mujoco")
+    assert (summary["status"], summary["mode"], summary["robot"], summary["ticks"]) == ("ok", "virtual", "mujoco", 300)
+    assert summary["notes"][0].startswith("pressed slowly before the run along +x")
+    assert read_result(tmp_path / "run").trace["f_env"].shape == (300, 3)
+    assert main(["report", str(tmp_path / "run"), "--html", str(tmp_path / "page.html")]) == 0
+    assert "pressed slowly" in (tmp_path / "page.html").read_text()
+
+
+def test_a_robot_of_no_file_is_refused_in_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
+    assert main(["run", "arm", "--robot", "mujoco:none.xml", "--out", str(tmp_path / "out")]) == 2
+    assert "there is no file none.xml; write --robot mujoco:FILE.xml" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

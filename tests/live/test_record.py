@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,26 +17,21 @@ from teleop.live.records.record import EVENTS, EVERY, RecordWriter, fresh_folder
 from teleop.protocol.guard import Event
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.structure import columns
 from teleop.simulation.trace import EndRecord
 from teleop.terminal.run_table import table
+from tests.live.recording import add_rows, record_of
 
 SCENE = load_scene("hard_wall", duration=1.0)
 WIDTH = len(columns(SCENE, "m"))
-ABOUT = {"scene": "hard_wall", "knobs": {"duration": "1.0"}, "seed": 0, "mode": "live", "command": []}
 
 
-def row(k: int) -> tuple[float, ...]:
-    return tuple(k + 0.1 * i for i in range(WIDTH))
+def numbered(k: int) -> tuple[int, int, tuple[float, ...]]:
+    return 1000 + k, k - 5, tuple(k + 0.1 * i for i in range(WIDTH))
 
 
-def recorded(folder: Path, count: int, scene: Scene = SCENE) -> RecordWriter:
-    recorder = RecordWriter(scene, "m", folder, ABOUT)
-    recorder.begin("bodies")
-    for k in range(count):
-        recorder.add(2 * k, 1000 + k, k - 5, row(k))
-    return recorder
+def recorded(folder: Path, count: int, **knobs: Any) -> RecordWriter:
+    return record_of(folder, "m", range(count), row=numbered, **knobs)
 
 
 def table_of(record: EndRecord) -> Any:
@@ -47,21 +41,22 @@ def table_of(record: EndRecord) -> Any:
 
 
 def test_what_was_added_is_read_back_to_the_bit(tmp_path: Path) -> None:
-    recorded(tmp_path, 3 * EVERY + 17).close()
-    header, record, late = read_record(tmp_path)
     count = 3 * EVERY + 17
-    assert list(record.ticks) == [2 * k for k in range(count)]
+    recorded(tmp_path, count).close()
+    header, record, late = read_record(tmp_path)
+    assert list(record.ticks) == [*range(count)]
     assert np.asarray(record.played).tolist() == [k - 5 for k in range(count)]
     assert np.asarray(late).tolist() == [1000 + k for k in range(count)]
-    assert table_of(record).tolist() == [[*row(k)] for k in range(count)]
+    assert table_of(record).tolist() == [[*numbered(k)[2]] for k in range(count)]
     assert (header["end"], header["scene"], header["dt_ns"]) == ("m", "hard_wall", 10**6)
     assert len(header["columns"]) == WIDTH + 3
 
 
 def test_the_columns_are_named_once_for_each_axis(tmp_path: Path) -> None:
-    recorded(tmp_path, 0, replace(SCENE, axes=3, environment=(None,) * 3)).close()
-    names = read_record(tmp_path)[0]["columns"]
-    assert names[:9] == ["k", "late_ns", "seq", "x_m", "x_m", "x_m", "v_m", "v_m", "v_m"]
+    scene = load_scene("recorded_reach")
+    about = {"scene": "recorded_reach", "knobs": {}, "seed": 0, "mode": "live", "command": []}
+    RecordWriter(scene, "m", tmp_path, about).begin("bodies")
+    assert read_record(tmp_path)[0]["columns"][:9] == ["k", "late_ns", "seq", "x_m", "x_m", "x_m", "v_m", "v_m", "v_m"]
 
 
 @pytest.mark.parametrize(("law", "column"), [("wave", False), ("pfra", True)])
@@ -70,13 +65,7 @@ def test_a_record_of_an_earlier_release_was_said_to_be_none_since_its_header_doe
 ) -> None:
     """Such a record has a force if its law read one, and then of the device's sensor: what else stood there it
     does not say, so none is worked out."""
-    scene = load_scene("hard_wall", duration=1.0, law=law, observer="none")
-    about = {**ABOUT, "knobs": {"duration": "1.0", "law": law, "observer": "none"}}
-    recorder = RecordWriter(scene, "m", tmp_path, about)
-    recorder.begin("sensor" if column else "unknown")
-    for k in range(20):
-        recorder.add(k, 1000, k - 5, (0.001 * k,) * len(columns(scene, "m", column)))
-    recorder.close()
+    record_of(tmp_path, "m", range(20), force="sensor" if column else "unknown", law=law, observer="none").close()
     first, rows = (tmp_path / FILE).read_bytes().split(b"\n", 1)
     header = {key: value for key, value in json.loads(first).items() if key != "force"}
     (tmp_path / FILE).write_bytes(json.dumps(header).encode() + b"\n" + rows)
@@ -90,14 +79,7 @@ def test_the_report_of_a_run_whose_law_was_edited_since_told_of_a_law_that_never
     mine, folder = tmp_path / "law_mine.py", tmp_path / "m"
     example = (ROOT / "scenarios" / "examples" / "law.py").read_text()
     mine.write_text(example)
-    knobs = {"duration": "1.0", "law": str(mine)}
-    scene = load_scene("hard_wall", **knobs)
-    folder.mkdir()
-    recorder = RecordWriter(scene, "m", folder, {**ABOUT, "knobs": knobs})
-    recorder.begin("bodies")
-    for k in range(20):
-        recorder.add(k, 1000, k - 5, (0.001 * k,) * len(columns(scene, "m", sensor=False)))
-    recorder.close()
+    record_of(folder, "m", range(20), law=str(mine)).close()
     mine.write_text(f"{example}\n# another\n")
     with pytest.raises(Refused, match=r"^the file of the law was edited since .*; put back the file as it was$"):
         load_result(folder, trust=True)
@@ -114,28 +96,21 @@ def test_a_process_that_is_killed_leaves_all_but_the_last_rows(tmp_path: Path) -
 
 def test_a_process_that_is_killed_early_or_ticks_slowly_leaves_a_record_too(tmp_path: Path) -> None:
     early, slow = tmp_path / "early", tmp_path / "slow"
-    for folder in (early, slow):
-        folder.mkdir()
-    open_still = recorded(early, 3), recorded(slow, 3, load_scene("hard_wall", dt=0.5))
+    open_still = recorded(early, 3), recorded(slow, 3, dt="0.5")
     assert [len(read_record(folder)[1].ticks) for folder in (early, slow)] == [0, 3]
     for recorder in open_still:
         recorder.close()
 
 
-@pytest.mark.parametrize("cut", [1, 7, 8, 8 * (WIDTH + 3) - 1])
-def test_a_row_that_was_cut_off_is_left_out(cut: int, tmp_path: Path) -> None:
+def test_a_row_that_was_cut_off_is_left_out_and_the_folder_says_so(tmp_path: Path) -> None:
     recorded(tmp_path, 40).close()
     data = (tmp_path / FILE).read_bytes()
-    (tmp_path / FILE).write_bytes(data[:-cut])
-    with pytest.warns(TruncatedRecord, match="row 39 and what came after it are lost"):
-        record = read_record(tmp_path)[1]
-    assert list(record.ticks) == [2 * k for k in range(39)]
-    assert table_of(record).shape == (39, WIDTH)
-
-
-def test_a_folder_whose_record_was_cut_off_is_made_whole_and_says_so(tmp_path: Path) -> None:
-    recorded(tmp_path, 40).close()
-    (tmp_path / FILE).write_bytes((tmp_path / FILE).read_bytes()[:-5])
+    for cut in (1, 7, 8, 8 * (WIDTH + 3) - 1):
+        (tmp_path / FILE).write_bytes(data[:-cut])
+        with pytest.warns(TruncatedRecord, match="row 39 and what came after it are lost"):
+            record = read_record(tmp_path)[1]
+        assert list(record.ticks) == [*range(39)], cut
+        assert table_of(record).shape == (39, WIDTH), cut
     recover(tmp_path)
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["ticks"] == 39
@@ -156,12 +131,8 @@ def test_what_happened_is_on_the_disk_at_once_and_a_line_that_was_cut_off_is_lef
 
 
 def test_of_a_killed_end_that_had_joined_late_the_ticks_before_are_not_called_skipped(tmp_path: Path) -> None:
-    recorder = RecordWriter(SCENE, "m", tmp_path, ABOUT)
-    recorder.begin("bodies")
-    recorder.note(Event(500, "joined", "the other end was running already"))
-    for k in (500, 501, 504):
-        recorder.add(k, 0, -1, row(k))
-    recorder.close()
+    joined = [Event(500, "joined", "the other end was running already")]
+    record_of(tmp_path, "m", (500, 501, 504), events=joined, row=lambda _k: (0, -1, 1e-3)).close()
     recover(tmp_path)
     own = json.loads((tmp_path / "summary.json").read_text())["master"]
     assert own["skipped"] == 2
@@ -185,35 +156,23 @@ def test_what_is_no_record_is_refused_in_one_sentence(data: bytes | None, tmp_pa
     assert str(tmp_path) in str(refused.value)
 
 
-def filling(folder: Path, count: int) -> RecordWriter:
-    """A record whose header went to a disk that has been full ever since."""
-    recorder = recorded(folder, 0)
-    recorder._file.close()
-    recorder._file = Path("/dev/full").open("wb")  # noqa: SIM115 (the recorder closes it)
-    for k in range(count):
-        recorder.add(k, 0, -1, row(k))
-    return recorder
-
-
 def test_a_disk_that_is_full_before_the_run_is_no_place_for_it(tmp_path: Path) -> None:
     (tmp_path / FILE).symlink_to("/dev/full")
     with pytest.raises(OSError, match="No space left"):
         recorded(tmp_path, 0)
 
 
-def test_a_full_disk_is_remembered_and_never_raised(tmp_path: Path) -> None:
-    recorder = filling(tmp_path, EVERY - 1)
+@pytest.mark.parametrize(("rows", "later", "trouble"), [(EVERY - 1, 3 * EVERY, EVERY), (10, 0, 10)])
+def test_a_full_disk_is_remembered_and_never_raised(rows: int, later: int, trouble: int, tmp_path: Path) -> None:
+    """It has been full ever since the header went there; or nothing is written before the end."""
+    recorder = recorded(tmp_path, 0)
+    recorder._file.close()
+    recorder._file = Path("/dev/full").open("wb")  # noqa: SIM115 (the recorder closes it)
+    add_rows(recorder, range(rows), numbered)
     assert recorder.trouble is None  # nothing has been written yet
-    for k in range(3 * EVERY):
-        recorder.add(k, 0, -1, row(k))
+    add_rows(recorder, range(later), numbered)
     recorder.close()
-    assert recorder.trouble == f"the record stopped at row {EVERY}: No space left on device"
-
-
-def test_a_disk_that_is_full_at_the_end_is_remembered_too(tmp_path: Path) -> None:
-    recorder = filling(tmp_path, 10)
-    recorder.close()
-    assert recorder.trouble == "the record stopped at row 10: No space left on device"
+    assert recorder.trouble == f"the record stopped at row {trouble}: No space left on device"
 
 
 # The folder
@@ -275,15 +234,7 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
 
 def end_of(folder: Path, e: str, ticks: range, events: list[Event], counted: int | None = None) -> Path:
     """An end's folder; `counted`: how many packets of all its run a summary of its own says it sent and received."""
-    folder.mkdir()
-    recorder = RecordWriter(SCENE, e, folder, ABOUT)
-    recorder.begin("bodies")
-    for event in events:
-        recorder.note(event)
-    width = len(columns(SCENE, e))
-    for k in ticks:
-        recorder.add(k, 1000, k - 5 if k >= 5 else -1, (0.001 * k,) * width)
-    recorder.close()
+    record_of(folder, e, ticks, events=events).close()
     if counted is not None:
         recover(folder)
         told = json.loads((folder / "summary.json").read_text())
@@ -352,12 +303,7 @@ def test_two_ends_that_met_twice_have_the_ledgers_of_their_last_session_alone(tm
 
 def test_two_ends_with_other_laws_were_said_to_be_of_another_release(tmp_path: Path) -> None:
     master = end_of(tmp_path / "m", "m", range(100), [MET])
-    tdpa = load_scene("hard_wall", duration=1.0, law="tdpa")
-    (tmp_path / "s").mkdir()
-    recorder = RecordWriter(tdpa, "s", tmp_path / "s", {**ABOUT, "knobs": {"duration": "1.0", "law": "tdpa"}})
-    recorder.begin("bodies")
-    recorder.add(0, 1000, -1, (0.0,) * len(columns(tdpa, "s")))
-    recorder.close()
+    record_of(tmp_path / "s", "s", [0], law="tdpa").close()
     with pytest.raises(Refused, match="are not the two ends of one run; give two that ran together"):
         merge(SCENE, master, tmp_path / "s")
 
@@ -375,7 +321,6 @@ def test_two_ends_that_met_for_the_first_time_after_a_turn_did_not_meet_anew(tmp
 def test_a_folder_without_a_record_names_one_that_has_one(inside: list[str], tmp_path: Path) -> None:
     """It said FileNotFoundError."""
     for each in inside:
-        (tmp_path / each).mkdir(parents=True)
         recorded(tmp_path / each, 3).close()
     said = f"one of its folders, for example {tmp_path / 'x-1'}" if inside else "the folder that a live end wrote"
     for ask in (recover, scene_of):

@@ -66,7 +66,9 @@ def world(folder: Path, playout: Playout) -> tuple[Recording, Scene]:
     return found, scene
 
 
-@pytest.mark.parametrize("playout", [Integral(), Zero(), Fixed(0.04)], ids=as_typed)
+@pytest.mark.parametrize("playout", [
+    pytest.param(Integral(), marks=pytest.mark.full), Zero(), pytest.param(Fixed(0.04), marks=pytest.mark.full),
+], ids=as_typed)
 def test_left_out_ticks_and_arrivals_of_a_run_make_the_same_run_in_virtual_time(
     playout: Playout, tmp_path: Path
 ) -> None:

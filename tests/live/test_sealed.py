@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from select import select
 from threading import Event, Thread
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.live.conftest import share_received, summary
@@ -20,7 +22,7 @@ from teleop.protocol.secure.association import Association
 from teleop.protocol.secure.keys import keygen, load_key  # (with the extra alone)
 
 pytestmark = pytest.mark.live
-SCENE = ["hard_wall", "--set", "duration=1", "--json"]
+SCENE = ["hard_wall", "--set", "duration=0.5", "--json"]
 
 
 @pytest.fixture
@@ -72,8 +74,8 @@ def test_they_meet_through_a_channel_that_loses_doubles_and_reorders(
     assert summary(tmp_path / "m")["master"]["sealed"] is True
 
 
-@pytest.mark.parametrize("called", ["127.0.0.2", "0.0.0.0"])
-@pytest.mark.parametrize("channels", [0, 1], ids=["directly", "through a channel"])
+@pytest.mark.parametrize(("called", "channels"), [
+    ("127.0.0.2", 1), *[pytest.param(*each, marks=pytest.mark.full) for each in (("127.0.0.2", 0), ("0.0.0.0", 0))]])
 def test_a_slave_that_answers_from_another_address_of_its_host_is_met(
     called: str, channels: int, command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
 ) -> None:
@@ -91,29 +93,20 @@ def test_a_slave_that_answers_from_another_address_of_its_host_is_met(
     assert share_received(tmp_path / "m", tmp_path / "s") > 0.8
 
 
-@pytest.mark.parametrize("wrong", ["master", "slave"])
+@pytest.mark.parametrize("wrong", ["master", pytest.param("slave", marks=pytest.mark.full)])
 def test_an_end_with_another_key_is_not_let_in(
     wrong: str, command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
 ) -> None:
     """The stranger knows the fingerprint that it should have, and has not the key to it."""
     own = {name: "stranger" if name == wrong else name for name in ("master", "slave")}
-    slave = command("slave", *SCENE, "--listen", "127.0.0.1:0", *has(keys, own["slave"], "master"), "--wait", "4",
+    slave = command("slave", *SCENE, "--listen", "127.0.0.1:0", *has(keys, own["slave"], "master"), "--wait", "3",
                     "--out", str(tmp_path / "s"))
     master = command("master", *SCENE, "--peer", f"127.0.0.1:{slave.port()}", *has(keys, own["master"], "slave"),
-                     "--wait", "4", "--out", str(tmp_path / "m"))
+                     "--wait", "3", "--out", str(tmp_path / "m"))
     for end in (master, slave):
-        end.refused("in 4 s")
+        end.refused("in 3 s")
     assert not (tmp_path / "s").exists()
     assert not (tmp_path / "m").exists()
-
-
-@pytest.mark.parametrize(("name", "words"), [
-    ("slave", ["--listen", "0.0.0.0:0"]), ("master", ["--peer", "192.0.2.1:9001"]),
-])
-def test_beyond_this_machine_nothing_goes_without_keys(
-    name: str, words: list[str], command: Callable[..., Any]
-) -> None:
-    command(name, *SCENE, *words).refused("beyond this machine", "teleop keygen", "--insecure")
 
 
 def test_what_goes_in_the_open_all_the_same_says_so_loudly(command: Callable[..., Any], tmp_path: Path) -> None:
@@ -152,22 +145,28 @@ def test_an_observer_whose_copies_come_first_draws_nothing_to_itself_even_after_
     command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
 ) -> None:
     """It kept two ends from meeting for as long as it copied, and after 1.4 s of silence for good."""
-    scene = ["hard_wall", "--set", "duration=5", "--link", "none", "--json"]
+    scene = ["hard_wall", "--set", "duration=600", "--link", "none", "--json"]
     slave = command("slave", *scene, "--listen", "127.0.0.1:0", *has(keys, "slave", "master"),
                     "--out", str(tmp_path / "s"))
     with observer(slave.port()) as (at, silent):
         master = command("master", *scene, "--peer", f"127.0.0.1:{at}", *has(keys, "master", "slave"),
                          "--out", str(tmp_path / "m"))
-        master.event("live")
+        ends = {"m": master, "s": slave}
+        for end in ends.values():
+            end.live(lambda numbers: numbers["gain"] == 1.0 and numbers["delay"] is not None)
         silent.set()
+        let_go = {e: end.live(lambda numbers: numbers["gain"] == 0.0)["k"] for e, end in ends.items()}
         time.sleep(1.4)
         silent.clear()
-        for end in (master, slave):
+        for end in ends.values():
+            end.live(lambda numbers: numbers["gain"] == 1.0)
+        master.signal(signal.SIGTERM)
+        for end in ends.values():
             code, out, err = end.end()
             assert code == 0, (out, err)
-    told = {end: summary(tmp_path / end)["packets"] for end in "ms"}
-    for here, there, way in (("s", "m", "fwd"), ("m", "s", "bwd")):  # before the outage are less than two tenths
-        assert told[here][way]["received"] > 0.4 * told[there][way]["sent"]
+    for e, k in let_go.items():
+        with np.load(tmp_path / e / "trace.npz") as trace:
+            assert trace[f"seq_{e}"][trace["t"] > k * 1e-3].max() > k, "what was sent after the outage is played"
 
 
 @contextmanager
@@ -236,11 +235,3 @@ def flooded(port: int, keys: dict[str, tuple[str, str]]) -> Iterator[list[int]]:
     finally:
         over.set()
         thread.join()
-
-
-def test_half_of_the_keys_is_refused(command: Callable[..., Any], keys: dict[str, tuple[str, str]]) -> None:
-    words = ["master", *SCENE, "--peer", "127.0.0.1:9"]
-    command(*words, "--key", keys["master"][0]).refused("go together")
-    command(*words, "--peer-fingerprint", keys["slave"][1]).refused("go together")
-    command(*words, *has(keys, "master", "slave"), "--lockstep").refused("--lockstep")
-    command(*words, *has(keys, "master", "slave"), "--insecure").refused("leave one of them out")

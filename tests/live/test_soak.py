@@ -39,7 +39,7 @@ class Form(NamedTuple):
     grown: int  # bytes of resident memory that it may
 
 
-SHORT = Form(8, warm=3.0, grown=2 * MB)
+SHORT = Form(5, warm=2.0, grown=2 * MB)
 LONG = Form(SECONDS, warm=60.0, grown=MB)
 
 

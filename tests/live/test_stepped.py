@@ -143,7 +143,11 @@ def stepped(pair: Callable[..., Any], of: Scene, **other: Any) -> Any:
     return merge(of, *both.write())
 
 
-@pytest.mark.parametrize("name", SCENES)
+OVER_SOCKETS = ("wave, rough, zero", "wave, blackout", "devices, three axes", "pfra, sensor", "one tick")
+
+
+@pytest.mark.parametrize("name", [  # without sockets all of them are stepped in test_in_process.py
+    name if name in OVER_SOCKETS else pytest.param(name, marks=pytest.mark.full) for name in SCENES])
 def test_the_stepped_run_is_the_virtual_run(name: str, pair: Callable[..., Any]) -> None:
     virtual = run(SCENES[name], seed=SEED)
     live = stepped(pair, SCENES[name])
@@ -155,6 +159,7 @@ def test_the_stepped_run_is_the_virtual_run(name: str, pair: Callable[..., Any])
 TWO_PORT = [name for name in known_laws() if hasattr(find_law(name), "master")]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("axes", [1, 3])
 @pytest.mark.parametrize("name", TWO_PORT)
 def test_the_stepped_run_of_every_law_is_its_virtual_run(name: str, axes: int, pair: Callable[..., Any]) -> None:
@@ -164,8 +169,12 @@ def test_the_stepped_run_of_every_law_is_its_virtual_run(name: str, axes: int, p
     equal(stepped(pair, of), run(of, seed=SEED))
 
 
-@pytest.mark.parametrize("name", ["wave, rough, zero", "pfra, three axes", "wave, no link", "one tick"])
-@pytest.mark.parametrize(("wire", "duration"), [(Leaky, 0.1), (Stammering, 0.02)])
+@pytest.mark.parametrize(("name", "wire", "duration"), [
+    ("wave, rough, zero", Leaky, 0.1), ("pfra, three axes", Stammering, 0.02), ("one tick", Stammering, 0.02),
+    *[pytest.param(name, wire, duration, marks=pytest.mark.full)
+      for name in ("wave, rough, zero", "pfra, three axes", "wave, no link", "one tick")
+      for wire, duration in ((Leaky, 0.1), (Stammering, 0.02))],
+])
 def test_datagrams_that_are_lost_on_the_way_are_sent_again(
     name: str, wire: Any, duration: float, pair: Callable[..., Any]
 ) -> None:
@@ -180,12 +189,19 @@ UNSTABLE = scene(
 )
 
 
-@pytest.mark.parametrize("wire", [Wire, Leaky])
-@pytest.mark.parametrize("of", [
-    UNSTABLE, replace(UNSTABLE, x_limit=0.3), replace(UNSTABLE, link=None),
-    scene(x_limit=1e-4), scene(x_limit=1e-3, start_m=0.5), scene(x_limit=1e-3, start_s=0.5),
-    scene(hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=1e308, frequency=3.0)), law=Direct(K=1e9)),
-], ids=["grows", "grows longer", "no link", "soon", "the master at once", "the slave at once", "not finite"])
+DIVERGING = {
+    "grows": UNSTABLE, "grows longer": replace(UNSTABLE, x_limit=0.3), "no link": replace(UNSTABLE, link=None),
+    "soon": scene(x_limit=1e-4), "the master at once": scene(x_limit=1e-3, start_m=0.5),
+    "the slave at once": scene(x_limit=1e-3, start_s=0.5), "not finite": scene(
+        hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=1e308, frequency=3.0)), law=Direct(K=1e9)),
+}
+
+
+@pytest.mark.parametrize(("of", "wire"), [
+    pytest.param(of, wire, id=f"{name} {wire.__name__}", marks=[] if (name, wire) in (
+        ("grows", Leaky), ("the slave at once", Leaky), ("not finite", Wire)) else pytest.mark.full)
+    for name, of in DIVERGING.items() for wire in (Wire, Leaky)
+])
 def test_a_run_that_diverges_does_so_at_the_same_tick_and_says_the_same(
     of: Scene, wire: Any, pair: Callable[..., Any]
 ) -> None:

@@ -20,41 +20,34 @@ from teleop.live.records.end_result import NAMES
 from teleop.live.records.inputs import ARRIVALS, INPUTS
 from teleop.live.records.merge import merge, needs_recovery
 from teleop.live.records.reader import FILE
-from teleop.live.records.record import RecordWriter
 from teleop.protocol.guard import Event
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING
-from teleop.simulation.structure import columns
 from teleop.storage.folder import is_being_written
+from tests.live.recording import add_rows, record_of
 
 SCENE = load_scene("hard_wall", duration=60.0)
-ABOUT = {"scene": "hard_wall", "knobs": {"duration": "60.0"}, "seed": 0, "mode": "live", "command": []}
+MET = [Event(0, "met", "session 1")]
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="folders are not locked there")
 
 CHILD = """
 import sys
 from pathlib import Path
-from teleop.storage.folder import claim
 from teleop.protocol.guard import Event
-from teleop.live.records.record import RecordWriter
-from teleop.scene import load_scene
-from teleop.simulation.structure import columns
+from teleop.storage.folder import claim
+from tests.live.recording import add_rows, record_of
 
 e, out = sys.argv[1:]
-claimed, scene, done = claim(out), load_scene("hard_wall", duration=60.0), 0
-about = {"scene": "hard_wall", "knobs": {"duration": "60.0"}, "seed": 0, "mode": "live", "command": []}
+claimed, done = claim(out), 0
 if e == "demo":
     print("there", flush=True)
     sys.stdin.readline()
-recorder = RecordWriter(scene, e, claimed.path, about)
-recorder.begin("bodies")
-recorder.note(Event(0, "met", "session 1"))
+recorder = record_of(Path(claimed.path), e, events=[Event(0, "met", "session 1")], duration="60.0")
 print("there", flush=True)
 for line in sys.stdin:  # a number of ticks more
-    for done in range(done, done + int(line)):
-        recorder.add(done, 1000, done - 5 if done >= 5 else -1, (1e-3,) * len(columns(scene, e)))
-    done += 1
+    add_rows(recorder, range(done, done + int(line)))
+    done += int(line)
     recorder.flush()
     print(done, flush=True)
 """
@@ -109,23 +102,17 @@ def shown(capsys: pytest.CaptureFixture[str], *typed: object) -> str:
     return capsys.readouterr().out
 
 
-def test_a_folder_is_being_written_until_its_process_is_killed(start: Start, tmp_path: Path) -> None:
-    end = start("m", tmp_path / "m")
-    assert is_being_written(tmp_path / "m")
-    assert not is_being_written(tmp_path)
-    os.kill(end.process.pid, signal.SIGSTOP)  # a process that stands still lives
-    assert is_being_written(tmp_path / "m")
-    end.kill()
-    assert not is_being_written(tmp_path / "m")
-    assert not is_being_written(tmp_path / "not there")
-
-
 def test_a_run_that_was_reported_while_it_ran_and_then_killed_stayed_at_that_tick_for_good(
     start: Start, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """And a running process was said to have "ended without a word"."""
     end = start("m", tmp_path / "m")
     end.tick(1000)
+    assert not is_being_written(tmp_path)
+    assert not is_being_written(tmp_path / "not there")
+    os.kill(end.process.pid, signal.SIGSTOP)  # a process that stands still lives
+    assert is_being_written(tmp_path / "m")
+    os.kill(end.process.pid, signal.SIGCONT)
     before = left_in(tmp_path)
     said = shown(capsys, tmp_path / "m")
     assert "still running: this is its record up to tick 999" in said
@@ -137,6 +124,7 @@ def test_a_run_that_was_reported_while_it_ran_and_then_killed_stayed_at_that_tic
     assert load_result(tmp_path / "m").ticks == 3000
     end.tick(500)
     end.kill()
+    assert not is_being_written(tmp_path / "m")
     for _ in range(2):
         result = load_result(tmp_path / "m")
         assert (result.status, result.ticks, len(result.trace["t"])) == ("stopped", 3500, 3500)
@@ -198,19 +186,12 @@ def test_the_folder_of_a_demo_is_whole_when_neither_end_nor_demo_runs(start: Sta
 
 def test_a_summary_that_was_made_too_early_is_made_again_when_the_record_has_grown(tmp_path: Path) -> None:
     """Where a folder cannot be locked, or was copied while it was written, a process cannot be seen to run."""
-    recorder = RecordWriter(SCENE, "m", tmp_path, ABOUT)
-    recorder.begin("bodies")
-    recorder.note(Event(0, "met", "session 1"))
-
-    def tick(ticks: range) -> None:
-        for k in ticks:
-            recorder.add(k, 1000, -1, (1e-3,) * len(columns(SCENE, "m")))
-        recorder.flush()
-
-    tick(range(500))
+    recorder = record_of(tmp_path, "m", range(500), events=MET, duration="60.0")
+    recorder.flush()
     assert load_result(tmp_path).ticks == 500
     assert not needs_recovery(tmp_path)
-    tick(range(500, 800))
+    add_rows(recorder, range(500, 800))
+    recorder.flush()
     assert needs_recovery(tmp_path)
     assert load_result(tmp_path).ticks == 800
     recorder.close()
@@ -223,18 +204,12 @@ def test_a_summary_that_was_made_too_early_is_made_again_when_the_record_has_gro
 
 
 def test_two_ends_put_together_too_early_are_put_together_again(tmp_path: Path) -> None:
-    top, later = tmp_path / "top", {}
-    for e, name in NAMES.items():
-        (top / name).mkdir(parents=True)
-        later[e] = RecordWriter(SCENE, e, top / name, ABOUT)
-        later[e].begin("bodies")
-        for k in range(750):
-            later[e].add(k, 1000, -1, (1e-3,) * len(columns(SCENE, e)))
+    top = tmp_path / "top"
+    later = [record_of(top / name, e, range(750), duration="60.0") for e, name in NAMES.items()]
     assert load_result(top).ticks == 750
-    for e in NAMES:
-        for k in range(750, 1000):
-            later[e].add(k, 1000, -1, (1e-3,) * len(columns(SCENE, e)))
-        later[e].close()
+    for recorder in later:
+        add_rows(recorder, range(750, 1000))
+        recorder.close()
     assert load_result(top).ticks == 1000
     shutil.rmtree(top / "slave")  # what was put together once is still there to be read
     assert load_result(top).ticks == 1000
@@ -244,17 +219,9 @@ def test_an_end_that_comes_to_its_end_while_it_is_read_is_not_cut_off_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It ran when the record was read, and had written its own summary when that was looked for."""
-    import teleop.live.records.merge as module
-
-    folders = []
-    for e, name in NAMES.items():
-        folders.append(tmp_path / name)
-        folders[-1].mkdir()
-        recorder = RecordWriter(SCENE, e, folders[-1], ABOUT)
-        recorder.begin("bodies")
-        for k in range(500):
-            recorder.add(k, 1000, -1, (1e-3,) * len(columns(SCENE, e)))
-        recorder.close()
-        load_result(folders[-1])
-    monkeypatch.setattr(module, "is_being_written", lambda folder: folder == folders[0])
+    folders = [tmp_path / name for name in NAMES.values()]
+    for e, folder in zip(NAMES, folders, strict=True):
+        record_of(folder, e, range(500), duration="60.0").close()
+        load_result(folder)
+    monkeypatch.setattr("teleop.live.records.merge.is_being_written", lambda folder: folder == folders[0])
     assert merge(SCENE, *folders).status == RUNNING

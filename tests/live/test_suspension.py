@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import count
 from typing import Any
 
 import pytest
@@ -73,12 +72,12 @@ def test_a_live_end_whose_machine_was_suspended_is_safe_at_once_and_goes_on_in_a
     pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dog = Watchdog(timeout=0.8, ramp=0.05, settle=0.05)
-    both = pair(replace(load_scene("canonical", duration=4.0, wall=0.005), link=None, watchdog=dog))
+    both = pair(replace(load_scene("canonical", duration=3.0, wall=0.005), link=None, watchdog=dog))
     slave = both.shells["s"]
-    asked, slept = count(), [0]
+    slept = [0]
 
     def boot() -> int:
-        if next(asked) == 800:
+        if slave.endpoint._tick > 400:
             slept[0] = 5 * S
         return time.monotonic_ns() + slept[0]
 
@@ -100,61 +99,3 @@ def test_a_live_end_whose_machine_was_suspended_is_safe_at_once_and_goes_on_in_a
     after = [event.what for event in events[told:]]
     assert after.index("session") < after.index("released"), "another session alone releases it"
     assert LEAST_NS < S
-
-
-@pytest.mark.live
-@pytest.mark.parametrize("cut", ["m", "s"])
-def test_an_outage_one_way_lets_both_go_and_ends_in_another_session(cut: str, pair: Callable[..., Any]) -> None:
-    """The messages of one end are lost for 1.6 s, at its socket."""
-    dog = Watchdog(timeout=0.2, ramp=0.05, settle=0.1)
-    both = pair(replace(load_scene("hard_wall", duration=9.0, law="direct"), link=None, watchdog=dog))
-    ends, wire = {e: shell.endpoint for e, shell in both.shells.items()}, both.shells[cut].wire
-    send, since = wire.send, [0]
-
-    def lossy(data: bytes) -> None:
-        k = ends[cut]._tick
-        since[0] = since[0] or (time.monotonic_ns() if k > 1500 else 0)
-        if not since[0] or time.monotonic_ns() - since[0] > 1.6 * S:
-            send(data)
-
-    wire.send = lossy
-    both.run()
-    assert both.status() == {"m": "ok", "s": "ok"}
-    for e, end in ends.items():
-        whats = [(event.what, event.why.split(":")[0]) for event in end.guard.events if event.k > 1490]
-        assert whats[0][0] == "safe"
-        assert end.session.met >= 2
-        first = next(i for i, what in enumerate(whats) if what[0] == "session")
-        assert "released" not in [what for what, _ in whats[:first]], f"{e} was released into the session before"
-        assert "released" in [what for what, _ in whats[first:]]
-    deaf = [event.why for event in ends[cut].guard.events if event.k > 1490 and event.what == "safe"]
-    assert deaf[0].startswith(("no answer", "a stall"))
-
-
-@pytest.mark.live
-def test_a_delay_that_grows_lets_a_live_end_go_although_packets_come_all_the_while(
-    pair: Callable[..., Any]
-) -> None:
-    """What the master sends is held up at its socket, for ever longer: by half a second a second."""
-    dog = Watchdog(timeout=0.3, ramp=0.05, settle=0.1, age=0.5)
-    both = pair(replace(load_scene("hard_wall", duration=5.0, law="direct"), link=None, watchdog=dog))
-    wire, slave = both.shells["m"].wire, both.shells["s"].endpoint
-    send, began, waiting = wire.send, time.monotonic_ns(), []
-
-    def late(data: bytes) -> None:
-        now = time.monotonic_ns()
-        growing = both.shells["m"].endpoint._tick > 1000
-        if not growing and not waiting:
-            nonlocal began
-            began = now
-        waiting.append((now + max(0, (now - began) // 2), data))
-        while waiting and waiting[0][0] <= now:
-            send(waiting.pop(0)[1])
-
-    wire.send = late
-    both.run()
-    assert both.status() == {"m": "ok", "s": "ok"}
-    causes = [event.why for event in slave.guard.events if event.what == "safe" and event.k > 1000]
-    assert any(why.startswith("age: messages come more than 0.5 s") for why in causes), causes
-    assert slave.guard.old > 100
-    assert slave.guard.gain == 0.0

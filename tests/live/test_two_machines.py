@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from teleop.scene.library import ROOT
-from tests.live.conftest import Command, pair_of_keys, summary
+from tests.live.conftest import OWN, Command, pair_of_keys, summary
 from tests.live.namespaces import Machine, join, machine
 from tests.waiting import until
 
@@ -62,12 +62,11 @@ def two(machines: list[Machine]) -> dict[str, Machine]:
 @pytest.fixture
 def on(tmp_path: Path) -> Iterator[Callable[..., Command]]:
     """`on(machine, "python", "-m", ...)`: a process there, in the test's own folder, and gone when the test is over."""
-    own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     started: list[subprocess.Popen[str]] = []
 
     def start(where: Machine, *words: str, cwd: Path = tmp_path, **more: str) -> Command:
         started.append(where.start(
-            *words, cwd=cwd, env={**own, "PYTHONPATH": str(ROOT), **more}, stdin=subprocess.DEVNULL,
+            *words, cwd=cwd, env={**OWN, **more}, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE))
         return Command(started[-1])
 

@@ -1,0 +1,302 @@
+"""Live ends whose devices are not the scene's own: one that fails, one that senses, one with switches, MuJoCo's."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from math import cos, nan, sin
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from master.device import SimulatedMaster
+from scenarios.examples.device import Carriage
+from slave.robot import SimulatedSlave
+from teleop import DeviceError, Reading, load_scene
+from teleop.__main__ import main
+from teleop.laws.direct import Direct
+from teleop.laws.pfra import PFRA
+from teleop.live.records.end_result import NAMES
+from teleop.live.records.merge import load_result, merge, scene_of
+from teleop.live.records.reader import OWN
+from teleop.live.records.record import read_events
+from teleop.live.replay.rerun import difference, read_end
+from teleop.live.summary import UNWATCHED
+from tests.fakes import Body
+from tests.live.conftest import Command, summary
+from tests.live.devices import always, reading, standing
+
+pytestmark = pytest.mark.live
+
+
+Make = Callable[..., Any]
+SCENE = replace(load_scene("hard_wall", duration=0.4), link=None)
+INNER: dict[str, Any] = {"m": SimulatedMaster, "s": SimulatedSlave}
+
+
+def run_with(pair: Make, scene: Any, **devices: Any) -> tuple[Any, tuple[Path, Path]]:
+    """Two ends with these devices at m or s, whose run came to its end; the folders of both."""
+    both = pair(scene, parts={e: {"device": devices[e]} if e in devices else {} for e in "ms"}).run()
+    assert both.errors == {"m": None, "s": None}
+    assert both.status() == {"m": "ok", "s": "ok"}
+    return both, both.write()
+
+
+def test_an_end_whose_device_fails_is_safe_and_comes_back_by_itself(pair: Make) -> None:
+    scene = replace(SCENE, duration=0.8)
+    inner = SimulatedMaster(scene)
+    blind: dict[int, list[int]] = {200: [], 450: []}  # by the tick from which on it is: the ticks of its readings
+    held: list[tuple[int, float]] = []
+
+    def sick(k: int) -> Any:
+        reading = inner.read(k)
+        first = 450 if k >= 450 else 200
+        if k < first or len(blind[first]) >= 10:
+            return reading
+        blind[first].append(k)
+        return reading._replace(v=(nan,)) if first == 450 else DeviceError("the encoder is gone")
+
+    def hold(force: tuple[float, ...]) -> tuple[float, ...]:
+        held.append((device.at, force[0]))
+        inner.hold(force)
+        return force
+
+    device = reading(sick, holds=hold)
+    both, folders = run_with(pair, scene, m=device)
+    events = both.shells["m"].endpoint.guard.events
+    causes = [event.why for event in events if event.what == "safe"]
+    assert any("the encoder is gone" in why for why in causes)
+    assert any("not finite" in why for why in causes)
+    assert len([event for event in events if event.what == "released"]) >= 2
+    trace = merge(scene, *folders).trace
+    for ticks in blind.values():
+        forces = [force for k, force in held if ticks[0] - 1 <= k <= ticks[-1]]
+        assert all(abs(b) < abs(a) or b == 0.0 for a, b in pairwise(forces)), "on its way to zero"
+        assert not set(np.round(trace["t"] * 1e3).astype(int)) & {*ticks}, "a tick without a reading is left out whole"
+    assert np.isfinite(trace["v_m"]).all()
+    assert trace["g_m"][-1] == 1.0
+
+
+@pytest.mark.parametrize("e", ["m", "s"])
+def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence_at_both_ends(e: str, pair: Make) -> None:
+    scene = replace(SCENE, duration=5.0)
+    gone = OSError("the bus is gone")
+    device = Body(inner=INNER[e](scene), reads=lambda k, now: always(gone if k >= 100 else now)(k, now))
+    both = pair(scene, parts={**{"m": {}, "s": {}}, e: {"device": device}}).run()
+    assert both.errors == {"m": None, "s": None}
+    assert both.status() == {"m": "stopped", "s": "stopped"}
+    for shell in both.shells.values():
+        assert "the device fails: the bus is gone" in shell.outcome.sentence
+
+
+def test_a_device_that_reads_ints_and_float32_is_heard_by_the_other_end(pair: Make) -> None:
+    """The other end took its messages for malformed, dropped them all, and told of silence."""
+    def coarse(_k: int, now: Reading) -> Any:
+        x, v, f, *_ = now
+        return Reading(tuple(map(np.float32, x)), tuple(np.float32(n) if n else 0 for n in v), f)  # type: ignore[misc]
+
+    both, _ = run_with(pair, SCENE, m=Body(inner=SimulatedMaster(SCENE), reads=coarse))
+    slave = both.shells["s"].endpoint
+    assert "malformed" not in slave.rejected
+    assert slave.inbox.played > 0
+
+
+def test_that_nothing_lets_go_of_a_device_but_its_end_is_told_at_its_start_and_in_the_summary(
+    pair: Make, command: Callable[..., Command], tmp_path: Path
+) -> None:
+    device = Body(inner=SimulatedMaster(SCENE), deadline=None)
+    _, folders = run_with(pair, replace(SCENE, duration=0.2), m=device)
+    told = [json.loads((folder / "summary.json").read_text())["notes"] for folder in folders]
+    assert [UNWATCHED in notes for notes in told] == [True, False]
+    (tmp_path / "bare.py").write_text("""
+from slave.robot import SimulatedSlave
+from teleop.live.end import end_main
+
+
+class Bare:
+    def __init__(self, scene):
+        inner = SimulatedSlave(scene)
+        self.read, self.hold = inner.read, inner.hold
+
+
+raise SystemExit(end_main("s", Bare))
+""")
+    end = command("bare", "hard_wall", "--listen", "127.0.0.1:0", "--json", "--wait", "60")
+    end.event("listening")
+    assert end.process.stderr is not None
+    assert end.process.stderr.readline() == f"teleop: {UNWATCHED}\n"
+
+
+# What a device senses
+
+
+@pytest.mark.parametrize(("e", "column"), [("m", "f_h"), ("s", "f_env")])
+def test_a_device_that_senses_7_N_was_recorded_with_the_force_of_the_scenes_own_hand_and_wall(
+    e: str, column: str, pair: Make
+) -> None:
+    _, folders = run_with(pair, SCENE, **{e: standing(f=7.0)})
+    own = folders["ms".index(e)]
+    (own / "summary.json").unlink()  # as of a process that was killed
+    whole = merge(SCENE, *folders)
+    for result in (whole, load_result(own)):
+        assert set(result.trace[column].tolist()) == {7.0}
+        assert set(result.trace[f"x_{e}"].tolist()) == {0.5}
+        assert set(result.trace[f"v_{e}"].tolist()) == {0.25}
+        assert result.metrics[f"{column}_max"] == 7.0
+    assert whole.metrics["f_err_rms"] > 0.0
+    assert not any("force sensor" in note for note in whole.notes)
+
+
+@pytest.mark.parametrize(("e", "column"), [("m", "f_h"), ("s", "f_env")])
+def test_a_device_that_senses_nothing_has_no_force_and_the_table_the_document_and_the_plot_do_without(
+    e: str, column: str, pair: Make, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, folders = run_with(pair, SCENE, **{e: standing()})
+    whole = merge(SCENE, *folders)
+    for result in (whole, load_result(folders["ms".index(e)])):
+        assert column not in result.trace
+        assert f"{column}_max" not in result.metrics
+        assert any("the device has no force sensor, so there is no " + column in note for note in result.notes)
+    assert ("f_err_rms" in whole.metrics) is (e == "m")
+    assert {"f_h", "f_env"} - {column} <= set(whole.trace), "the other is the scene's own, and is worked out"
+    monkeypatch.chdir(folders[0].parent)
+    monkeypatch.setattr("teleop.report.command.scene_of", lambda *_, **__: SCENE)
+    plot = ["--plot"] if e == "s" else []
+    assert main(["report", "master", "slave", "--out", "both", *plot]) == 0
+    out = capsys.readouterr().out
+    assert f"{NAMES[e]}: the device has no force sensor" in out
+    assert ("\nforce error" in out) is (e == "m")
+    assert json.loads(Path("both/summary.json").read_text())["notes"] == list(load_result("both").notes)
+    assert not plot or Path("both/plot.png").stat().st_size > 1000
+
+
+def test_the_force_that_a_device_senses_is_what_the_law_reads(pair: Make) -> None:
+    """`direct` reflects f_env as it is."""
+    scene = replace(SCENE, law=Direct(K=0.0, B=0.0))
+    felt = merge(scene, *run_with(pair, scene, s=standing(f=7.0))[1]).trace["f_m"]
+    assert felt.max() == felt[-1] == 7.0
+
+
+@pytest.mark.parametrize(("e", "law", "says"), [
+    ("s", Direct(), ["the law direct reads the force on the environment, f_env", "the slave's device senses none",
+                     "reading has f=None", "--set law=wave at both ends"]),
+    ("m", PFRA(), ["the law pfra reads the hand's force, f_h", "--set observer=200 at both ends"]),
+])
+def test_a_device_without_a_force_under_a_law_that_reads_it_was_a_type_error_in_the_middle_of_the_run(
+    e: str, law: Any, says: list[str], pair: Make
+) -> None:
+    scene = replace(SCENE, law=law, observer=None)
+    device = standing()
+    both = pair(scene, parts={**{"m": {"peer_timeout": 0.5}, "s": {"peer_timeout": 0.5}}, e: {"device": device}}).run()
+    own, other = both.shells[e], both.shells["sm"["ms".index(e)]]
+    assert own.outcome.status == other.outcome.status == "refused"
+    assert own.outcome.fault is None
+    for words in says:
+        assert words in own.outcome.sentence
+    assert own.counts.ticks == other.counts.ticks == 0
+    assert set(device.held) == {(0.0,)}
+
+
+def test_devices_that_sense_nothing_run_with_the_observer_and_in_a_scene_with_friction(pair: Make) -> None:
+    """The scene's own bodies tell their friction at every tick, so the record had a place for one: a TypeError."""
+    scene = replace(SCENE, law=PFRA(), observer=200.0)
+    trace = merge(scene, *run_with(pair, scene, m=standing())[1]).trace
+    assert "f_h_hat" in trace
+    assert "f_h" not in trace
+    scene = replace(load_scene("stick_slip", duration=0.3), link=None)
+    folders = run_with(pair, scene, m=standing(), s=standing())[1]
+    assert not {"f_h", "f_env"} & set(merge(scene, *folders).trace)
+
+
+def test_a_master_was_answered_before_the_slaves_device_could_be_read(pair: Make) -> None:
+    """Not until it was asked for the hundredth time, as a driver that starts up."""
+    asked = iter(range(100))
+    late = DeviceError("the encoders are not referenced yet")
+    device = standing(reads=lambda k, now: always(now if next(asked, None) is None else late)(k, now))
+    both, folders = run_with(pair, SCENE, s=device)
+    for folder in folders:
+        assert [event["why"] for event in read_events(folder) if "referenced" in event["why"]] == []
+    slave = both.shells["s"]
+    assert slave.counts.ticks + slave.counts.skipped == SCENE.ticks
+
+
+def test_a_device_that_cannot_be_read_for_two_seconds_is_no_run(pair: Make) -> None:
+    device = reading(lambda k: DeviceError(f"no answer to the question for tick {k}"))
+    both = pair(SCENE, parts={"m": {"peer_timeout": 0.5}, "s": {"device": device}}).run()
+    assert both.shells["s"].outcome.sentence == "the device cannot be read: no answer to the question for tick 0"
+    assert both.status() == {"m": "refused", "s": "refused"}
+    assert "no answer from" in both.shells["m"].outcome.sentence
+    assert set(device.held) == {(0.0,)}
+
+
+# Switches, and the device of the examples
+
+
+def test_two_machines_of_ones_own_run_live_with_a_clutch_and_again_to_the_bit(pair: Make) -> None:
+    """A hand swings a handle, whose thumb holds the clutch open from 0.3 to 0.6 s."""
+    def handle(k: int) -> Reading:
+        t = 1e-3 * k
+        return Reading((0.02 * sin(6.0 * t),), (0.12 * cos(6.0 * t),), clutch=300 <= k < 600, present=True)
+
+    scene = load_scene("bench_top", law="pp", duration=0.9, needs_clutch=True, needs_present=True, closes_within=0.05)
+    _, folders = run_with(pair, scene, m=reading(handle), s=Carriage(scene))
+    ends = [read_end(folder, scene) for folder in folders]
+    assert [difference(end, scene) for end in ends] == [None, None]
+    ticks, rows = np.asarray(ends[0].record.ticks), ends[0].record.rows
+    names, table = ends[0].header["columns"][len(OWN):], rows.table(0, len(ticks))  # type: ignore[union-attr]
+    told = [one for one in read_events(folders[0]) if one["what"] == "clutch"]
+    f, g, clutch = (table[:, names.index(name)] for name in ("f_m", "g_clutch_m", "clutch_m"))
+    inside = (ticks >= 300) & (ticks < 600)
+    assert np.array_equal(clutch > 0.0, inside)
+    assert not f[inside & (g == 0.0)].any()
+    assert f[~inside & (ticks > 400)].any()
+    assert [one["k"] >= at for one, at in zip(told, (300, 600), strict=True)] == [True, True]
+
+
+def test_the_device_of_the_examples_is_driven_against_its_stop(
+    command: Callable[..., Command], tmp_path: Path
+) -> None:
+    scene = ["hard_wall", "--set", "duration=2", "--set", "law=direct", "--link", "none", "--json"]
+    slave = command("scenarios.examples.device", *scene, "--listen", "127.0.0.1:0", "--out", "s")
+    master = command("master", *scene, "--peer", f"127.0.0.1:{slave.port()}", "--out", "m")
+    for end in (master, slave):
+        code, out, err = end.end()
+        assert code == 0, (out, err)
+    assert summary(tmp_path / "s")["status"] == "ok"
+    with np.load(tmp_path / "s" / "trace.npz") as trace:
+        assert trace["x_s"].max() > 0.03, "it came to the stop"
+        assert trace["f_env"].max() > 0.5, "which pushed back"
+
+
+def test_an_end_whose_device_does_not_sense_what_its_law_reads_is_one_sentence_with_exit_code_2(
+    command: Callable[..., Command], tmp_path: Path
+) -> None:
+    (tmp_path / "numb.py").write_text("""
+from teleop import end_main
+from tests.live.devices import standing
+
+raise SystemExit(end_main("s", lambda scene: standing()))
+""")
+    end = command("numb", "hard_wall", "--set", "law=direct", "--listen", "127.0.0.1:0", "--quiet")
+    end.refused("the slave's device senses none", "--set law=wave")
+    assert not list(tmp_path.glob("runs/*"))
+
+
+def test_the_slave_of_a_live_run_is_the_arm_in_mujoco(command: Callable[..., Command], tmp_path: Path) -> None:
+    """It presses the wall of its model, the master feels it, and its folder tells how stiff that is."""
+    pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
+    own = ["arm", "--set", "duration=2.5", "--set", "delay=0.0", "--json"]
+    slave = command("slave", *own, "--robot", "mujoco", "--listen", "127.0.0.1:0", "--out", "s")
+    master = command("master", *own, "--peer", f"127.0.0.1:{slave.port()}", "--out", "m")
+    assert [each.end()[0] for each in (master, slave)] == [0, 0]
+    assert [note for note in summary(tmp_path / "s")["notes"] if note.startswith("pressed slowly before the run")]
+    ran = load_result(tmp_path / "s").trace
+    assert ran["f_env"][-1, 0] > 2.0
+    assert ran["x_s"][-1, 0] == pytest.approx(0.03, abs=1e-3)
+    both = merge(scene_of(tmp_path / "m"), tmp_path / "m", tmp_path / "s")
+    assert both.status == "ok"
+    assert both.trace["f_m"][-1, 0] == pytest.approx(both.trace["f_env"][-1, 0], rel=0.2)
