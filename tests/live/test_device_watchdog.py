@@ -377,6 +377,7 @@ def test_two_ends_do_not_drive_one_device_and_a_watchdog_outlives_every_signal_t
     one.start("second").refused("another end drives this device already", "teleop.bench.watchdog:zeroing",
                                 f"for example by kill {one.slave.process.pid}")
     assert not (one.folder / "second").exists()
+    until(lambda: len(one.watchdogs()) == 1, "the watchdog of the second end stays behind")
     (watchdog,) = one.watchdogs()
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGALRM", "SIGTSTP"):
         os.kill(watchdog, signal.Signals[name])
