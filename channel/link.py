@@ -57,7 +57,9 @@ EXAMPLES = {
 """An example of each, with all of its knobs."""
 
 GROUP = "teleop.effects"  # of entry points
-KIND = PartKind(word="effect", group=GROUP, places=EFFECTS, examples=EXAMPLES)
+SYNONYMS = {"loss": "bernoulli", "drop": "bernoulli", "latency": "delay", "jitter": "uniform", "burst": "gilbert_elliott",
+            "bursts": "gilbert_elliott", "outage": "blackout", "reorder": "uniform", "trace": "mahimahi", "ping": "ping_log"}
+KIND = PartKind(word="effect", group=GROUP, places=EFFECTS, examples=EXAMPLES, synonyms=SYNONYMS)
 _LONGEST = 10_000  # characters of a text
 # A path by itself, which is no Python: in a shell, where quotes are in use already, people type recorded(runs/x).
 _BARE_PATH = re.compile(r"\b(mahimahi|ping_log|recorded)\(\s*(?![\d.]+[,)])([^\s'\"(),=|;]+)\s*(?=[,)])")

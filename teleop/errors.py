@@ -7,9 +7,10 @@ written; what happens *during* a run is a status of the run, never an exception.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from math import inf, isfinite
 from numbers import Real
+from typing import Any
 
 
 class Refused(ValueError):
@@ -136,3 +137,17 @@ def whole_number(name: str, value: object, *, low: float | None = None, high: fl
     if not got.is_integer():
         raise WrongNumber(name, got, "a whole number", round(got))
     return int(got)
+
+
+class NamedValues(dict[str, Any]):
+    """Values by name; an unknown name raises `KeyError` with the nearest ones. `kind`: what a name stands for."""
+
+    def __init__(self, kind: str, values: Mapping[str, Any]) -> None:
+        super().__init__(values)
+        self.kind = kind
+
+    def __missing__(self, name: str) -> Any:
+        raise KeyError(f"there is no {self.kind} {name!r}; {nearest(name, self)}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return NamedValues, (self.kind, dict(self))

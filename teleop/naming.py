@@ -11,7 +11,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache
 from importlib import import_module
 from typing import Any, NamedTuple
@@ -72,6 +72,7 @@ class PartKind:
     group: str
     places: Mapping[str, str]  # "module:class" by name
     examples: Mapping[str, str]
+    synonyms: Mapping[str, str] = field(default_factory=dict)  # names by which people look for a part, to its name
 
     def make(self, node: ast.AST, text: str, form: str) -> Any:
         """Make the part of a call in `text`; `form` is an example of one. Raises `Refused`."""
@@ -82,6 +83,8 @@ class PartKind:
             part = ast.unparse(node)[:40]
             raise Refused(f"{text[:80]!r} has a part that is no {self.word}, {part!r}; {form}")
         name = node.func.id
+        if name in self.synonyms:
+            raise Refused(f"there is no {self.word} {name!r}; write for example {self.examples[self.synonyms[name]]}")
         made = find(self.word, self.group, self.places, name)
         return made(**self.arguments(name, made, node))
 

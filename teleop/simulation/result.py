@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from teleop.errors import Refused
+from teleop.errors import NamedValues, Refused
 from teleop.scene.axes import AxisLabels, labels_in, labels_of
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS, finite, worked_out
@@ -49,9 +50,9 @@ def head(*, status: str, sentence: str, scene: str, mode: str, parameters: Mappi
             "seed": seed, "versions": versions(*also), "command": list(command), "dt": dt}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Result:
-    """Result of one run. `trace` maps names to arrays, one row per tick.
+    """Result of one run. `trace` maps names to arrays, one row per tick, SI units; `metrics` names to figures.
 
     `status` is ok, limit cycle or unstable (a swing stays or grows although nothing moves the scene any more, see
     `teleop.simulation.rest`), diverged, or of a live run stopped.
@@ -73,6 +74,19 @@ class Result:
     trace: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = None
 
+    def __repr__(self) -> str:
+        """One line: scene, law, how it ended."""
+        law = law_with_gains(self.parameters.get("law"))
+        return f"Result({self.scene}, law {law}, {self.mode}: {self.status}, {self.ticks} ticks of {self.dt:g} s)"
+
+    def _repr_html_(self) -> str:
+        """A table for a notebook: how the run ended, its figures with units, its notes."""
+        rows = [("status", f"{self.status}: {self.sentence}"), ("law", law_with_gains(self.parameters.get("law"))),
+                *[(name, f"{value:.4g} {self.labels.unit(UNITS[name])}") for name, value in self.metrics.items()],
+                *[("note", note) for note in self.notes]]
+        cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows)
+        return f"<table><caption>{escape(self.scene)}, {self.mode}, seed {self.seed}</caption>{cells}</table>"
+
     @property
     def labels(self) -> AxisLabels:
         """Names and units of the axes, as the scene gives them."""
@@ -89,8 +103,9 @@ class Result:
         notes = [*ending.notes, *[f"not finite, and so left out of the metrics: {lost}"] * bool(lost)]
         return cls(
             scene=scene.name, parameters=parameters(scene), seed=seed, mode=mode, status=ending.status,
-            sentence=ending.sentence, ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=finite(every),
-            packets=packets, notes=tuple(notes), extra={**labels_of(scene).document(), **extra}, trace=trace,
+            sentence=ending.sentence, ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=NamedValues("metric", finite(every)),
+            packets=packets, notes=tuple(notes), extra={**labels_of(scene).document(), **extra},
+            trace=NamedValues("column of this run", trace),
         )
 
     def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:
@@ -241,8 +256,8 @@ def _read(at: Path) -> Result:
     rest = {"versions", "command", "metrics", "packets", "notes"}
     return Result(
         **{key: summary[key] for key in known},
-        metrics={key: entry["value"] for key, entry in summary["metrics"].items()},
+        metrics=NamedValues("metric", {key: entry["value"] for key, entry in summary["metrics"].items()}),
         packets={way: Packets(**counts) for way, counts in summary["packets"].items()},
         notes=tuple(summary["notes"]), extra={k: v for k, v in summary.items() if k not in known | rest},
-        trace=trace, path=at,
+        trace=NamedValues("column of this run", trace), path=at,
     )

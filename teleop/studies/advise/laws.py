@@ -60,6 +60,9 @@ class OneWay(NamedTuple):
         return f"{delay}, {self.lost:.1%} of packets lost"
 
 
+LONGEST_WAY = 10.0  # s: nobody holds a handle for longer; more is most likely a delay that was typed in ms
+
+
 def one_way(scene: Scene, direction: int, seed: int) -> OneWay:
     """Delay and loss of direction 0 (forward) or 1 in a run of `scene`. Raises `Refused` if nothing arrives."""
     if scene.link is None:
@@ -71,8 +74,11 @@ def one_way(scene: Scene, direction: int, seed: int) -> OneWay:
                       "give another part of the recording, or another --link")
     ages = (arrivals.time_ns - arrivals.packet * scene.dt_ns) / 1e9
     lost = 1.0 - len(np.unique(arrivals.packet)) / scene.ticks
-    late = float(np.quantile(ages, LATE, method="higher"))
-    return OneWay(float(ages.min()), float(np.median(ages)), late, float(ages.max()), lost)
+    late, median = float(np.quantile(ages, LATE, method="higher")), float(np.median(ages))
+    if median > LONGEST_WAY:
+        raise Refused(f"the link takes {median:g} s one way, and laws are compared up to {LONGEST_WAY:g} s; its delays are in "
+                      "s, so write for example delay(0.08) for 80 ms")
+    return OneWay(float(ages.min()), median, late, float(ages.max()), lost)
 
 
 def link_text(ways: tuple[OneWay, OneWay]) -> str:
