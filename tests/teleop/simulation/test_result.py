@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -156,3 +157,23 @@ class TestStored:
                "ticks_over_tolerance": 1, "tolerance": 1e-9}
         replace(wan, extra={"integration": {"slave": own}}).save(tmp_path / "run")
         assert "error estimated at inf m a tick (nan m added up)" in table(load_result(tmp_path / "run"))
+
+
+class TestInPython:
+    def test_prints_in_one_line_that_says_how_it_ended(self, wan: Result) -> None:
+        assert repr(wan) == "Result(jittery_wan, law wave(b=2, K=500, B=20), virtual: ok, 300 ticks of 0.001 s)"
+
+    def test_is_a_table_in_a_notebook_that_runs_nothing(self, wan: Result) -> None:
+        page = replace(wan, notes=("<script>",))._repr_html_()
+        assert f"<th>x_err_rms</th><td>{wan.metrics['x_err_rms']:.4g} m</td>" in page
+        assert "<th>note</th><td>&lt;script&gt;</td>" in page
+
+    def test_a_misspelt_name_names_the_nearest_also_of_a_result_that_was_read_or_pickled(
+        self, wan: Result, tmp_path: Path
+    ) -> None:
+        for result in (wan, load_result(wan.save(tmp_path / "run").path or tmp_path), pickle.loads(pickle.dumps(wan))):
+            with pytest.raises(KeyError, match="there is no metric 'x_err_rm'; did you mean x_err_rms"):
+                result.metrics["x_err_rm"]
+            with pytest.raises(KeyError, match="there is no column of this run 'f_mm'; did you mean f_m?"):
+                result.trace["f_mm"]
+            assert "f_mm" not in result.trace
