@@ -57,8 +57,8 @@ EXAMPLES = {
 """An example of each, with all of its knobs."""
 
 GROUP = "teleop.effects"  # of entry points
-SYNONYMS = {"loss": "bernoulli", "drop": "bernoulli", "latency": "delay", "jitter": "uniform", "burst": "gilbert_elliott",
-            "bursts": "gilbert_elliott", "outage": "blackout", "reorder": "uniform", "trace": "mahimahi", "ping": "ping_log"}
+SYNONYMS = {"burst": "gilbert_elliott", "drop": "bernoulli", "jitter": "uniform", "latency": "delay",
+            "loss": "bernoulli", "outage": "blackout", "ping": "ping_log", "reorder": "uniform", "trace": "mahimahi"}
 KIND = PartKind(word="effect", group=GROUP, places=EFFECTS, examples=EXAMPLES, synonyms=SYNONYMS)
 _LONGEST = 10_000  # characters of a text
 # A path by itself, which is no Python: in a shell, where quotes are in use already, people type recorded(runs/x).

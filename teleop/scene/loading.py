@@ -35,8 +35,8 @@ def load_scene(name: str, /, **knobs: object) -> Scene:
     'canonical'
     """
     if not isinstance(name, str):
-        raise Refused(f"pass the scene's name, for example 'hard_wall', not a value of type {type(name).__name__}; its knobs "
-                      "are set by their names beside it")
+        raise Refused(f"pass the scene's name, for example 'hard_wall', not a value of type {type(name).__name__}; "
+                      "its knobs are set by their names beside it")
     return made_by(scene_function(name), name, knobs)
 
 

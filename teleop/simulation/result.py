@@ -103,8 +103,9 @@ class Result:
         notes = [*ending.notes, *[f"not finite, and so left out of the metrics: {lost}"] * bool(lost)]
         return cls(
             scene=scene.name, parameters=parameters(scene), seed=seed, mode=mode, status=ending.status,
-            sentence=ending.sentence, ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time, metrics=NamedValues("metric", finite(every)),
-            packets=packets, notes=tuple(notes), extra={**labels_of(scene).document(), **extra},
+            sentence=ending.sentence, ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time,
+            metrics=NamedValues("metric", finite(every)), packets=packets,
+            notes=tuple(notes), extra={**labels_of(scene).document(), **extra},
             trace=NamedValues("column of this run", trace),
         )
 

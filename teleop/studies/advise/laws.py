@@ -76,8 +76,8 @@ def one_way(scene: Scene, direction: int, seed: int) -> OneWay:
     lost = 1.0 - len(np.unique(arrivals.packet)) / scene.ticks
     late, median = float(np.quantile(ages, LATE, method="higher")), float(np.median(ages))
     if median > LONGEST_WAY:
-        raise Refused(f"the link takes {median:g} s one way, and laws are compared up to {LONGEST_WAY:g} s; its delays are in "
-                      "s, so write for example delay(0.08) for 80 ms")
+        raise Refused(f"the link takes {median:g} s one way, and laws are compared up to {LONGEST_WAY:g} s; its delays "
+                      "are in s, so write for example delay(0.08) for 80 ms")
     return OneWay(float(ages.min()), median, late, float(ages.max()), lost)
 
 

@@ -18,7 +18,7 @@ from scenarios.examples.law import SmoothReflection
 from scenarios.examples.stage import AlphaBeta
 from teleop import BackwardDifference, check_law, load_scene
 from teleop.sweeps.kernels.functions import without_lanes
-from tests.teleop.stages.velocity.test_contract import conforms
+from tests.teleop.stages.velocity.test_estimators import conforms
 
 FOLDER = Path(scenarios.examples.__file__ or "").parent
 EXAMPLES = sorted(path for path in FOLDER.glob("*.py") if path.name != "__init__.py")

@@ -174,6 +174,6 @@ class TestInPython:
         for result in (wan, load_result(wan.save(tmp_path / "run").path or tmp_path), pickle.loads(pickle.dumps(wan))):
             with pytest.raises(KeyError, match="there is no metric 'x_err_rm'; did you mean x_err_rms"):
                 result.metrics["x_err_rm"]
-            with pytest.raises(KeyError, match="there is no column of this run 'f_mm'; did you mean f_m?"):
+            with pytest.raises(KeyError, match=r"there is no column of this run 'f_mm'; did you mean f_m\?"):
                 result.trace["f_mm"]
             assert "f_mm" not in result.trace
