@@ -78,7 +78,7 @@ def test_a_service_that_is_started_again_in_a_run_is_found_again_and_let_go_of_b
     service: Callable[..., Service], command: Callable[..., Command], tmp_path: Path
 ) -> None:
     there, url = service("vector")
-    _, master = ends(command, url, 60.0)
+    _, master = ends(command, url, 600.0)
     pushes(there, lambda force: force >= 0.1)
     there.kill()
     there.wait()
