@@ -14,6 +14,7 @@ from slave.robot import SimulatedSlave
 from teleop.laws.wave import Wave
 from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.manifest import manifest_of
+from teleop.protocol.packet import Packet, decode
 from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -33,6 +34,12 @@ def scene(law: Any = None, **parts: Any) -> Scene:
     """A hand that pushes a slave against a wall; `parts` of a scene replace its own."""
     knobs: dict[str, Any] = {"law": law or Wave(), "duration": 0.4, "wall": 0.005, "delay": 0.02}
     return replace(load_scene("canonical", **knobs), **parts)
+
+
+def packet_in(data: bytes, width: int = 1) -> Packet:
+    packet = decode(data, width)
+    assert isinstance(packet, Packet), packet
+    return packet
 
 
 def reading(x: float, v: float = 0.0) -> Reading:

@@ -50,13 +50,10 @@ def two() -> Two:
     return Two().run(200)
 
 
-def test_the_slave_takes_the_address_of_the_master_that_starts_it(two: Two) -> None:
-    assert two.at[SLAVE].peer == MASTER
-    assert two.at[MASTER].peer == SLAVE
+def test_the_slave_takes_the_address_of_the_master_that_starts_it_and_the_session_is_told_once(two: Two) -> None:
+    assert (two.at[SLAVE].peer, two.at[MASTER].peer) == (MASTER, SLAVE)
     assert {(source, to) for source, _, to in two.sent} == {(MASTER, SLAVE), (SLAVE, MASTER)}
-
-
-def test_a_session_that_has_begun_is_told_once(two: Two) -> None:
+    assert connection("s").bye("done", 0) == [], "without a peer there is nobody to say goodbye to"
     for one in two.at.values():
         assert one.events() == [SessionBegun(7)]
         assert one.events() == []
@@ -73,6 +70,9 @@ def test_a_datagram_from_elsewhere_is_counted_and_dropped_while_a_session_lasts(
             assert one.receive(copy[kind], OTHER, two.now) == []
         assert one.endpoint.rejected["address"] == len(kinds)
         assert one.peer != OTHER
+    start = next(data for source, data, _ in two.sent if source == MASTER and peek(data)[0] is Kind.START)
+    assert [to for _, to in two.at[SLAVE].receive(start, OTHER, two.now)] == [MASTER], "a copy draws no answer there"
+    assert two.at[SLAVE].peer == MASTER
 
 
 def test_an_answer_to_a_hello_goes_to_the_host_that_asked_and_to_no_other(two: Two) -> None:
@@ -84,13 +84,6 @@ def test_an_answer_to_a_hello_goes_to_the_host_that_asked_and_to_no_other(two: T
     ((reply, to),) = slave.receive(hello[0], OTHER, later)
     assert (peek(reply)[0], to) == (Kind.WELCOME, OTHER)
     assert slave.peer == MASTER
-
-
-def test_a_copy_of_a_start_from_elsewhere_draws_no_answer_there(two: Two) -> None:
-    start = next(data for source, data, _ in two.sent if source == MASTER and peek(data)[0] is Kind.START)
-    replies = two.at[SLAVE].receive(start, OTHER, two.now)
-    assert [to for _, to in replies] == [MASTER]
-    assert two.at[SLAVE].peer == MASTER
 
 
 def test_a_new_session_is_asked_for_where_the_master_was_told_to_ask(two: Two) -> None:
@@ -109,7 +102,3 @@ def test_a_sealed_link_knows_its_peer_by_keys_and_drops_nothing_for_its_address(
     one.endpoint.session.begin(0, 10)
     one.receive(hello[0], OTHER, 20)
     assert one.endpoint.rejected["address"] == 0
-
-
-def test_an_end_without_a_peer_has_nobody_to_say_goodbye_to() -> None:
-    assert connection("s").bye("done", 0) == []

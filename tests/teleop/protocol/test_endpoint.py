@@ -26,7 +26,7 @@ from teleop.live.options import ticks_of
 from teleop.physics.plant import MassDamper
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.guard import UNNAMED
-from teleop.protocol.packet import VERSION, Echo, Kind, Packet, decode, encode
+from teleop.protocol.packet import VERSION, Echo, Kind, Packet, encode
 from teleop.protocol.session import Session
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Scaled, Zero
 from teleop.scene.scene import Scene
@@ -37,7 +37,7 @@ from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
 from tests.fakes import Motion, law_of
 from tests.teleop.law.test_span import Timed
-from tests.teleop.protocol.ends import MS, ROUGH, SEED, START, Both, met, reading, scene
+from tests.teleop.protocol.ends import MS, ROUGH, SEED, START, Both, met, packet_in, reading, scene
 from tests.teleop.scene.unlike import LAWS, unlike
 from tests.teleop.stages.tumbling import tumbling
 
@@ -195,8 +195,7 @@ def forged(both: Both, e: str, k: int, **changes: Any) -> bytes:
 
 def unchecked(both: Both, e: str, k: int, **changes: Any) -> bytes:
     """The same without the help of `encode`: fields that it would not write."""
-    packet = decode(forged(both, e, k), both.ends[e].format.width)
-    assert isinstance(packet, Packet)
+    packet = packet_in(forged(both, e, k), both.ends[e].format.width)
     body = msgpack.packb([*packet._replace(**changes)[1:]])
     return sealed(struct.pack("!2sBBH", b"BT", VERSION, 0, len(body)) + body)
 
@@ -323,8 +322,7 @@ def test_messages_of_ints_and_float32_are_no_malformed_packets_to_the_peer() -> 
     for e in "ms":
         assert not both.ends[e].rejected
         assert both.ends[e].received == 99
-    packet = decode(both.sent["s"][-1], 2)
-    assert isinstance(packet, Packet)
+    packet = packet_in(both.sent["s"][-1], 2)
     assert packet.payload == (2.0, 2.0)
     assert packet.E_in is None, "a scene that asks for no ledger sends no stamp"
     assert both.ends["s"].stamp_margin is None

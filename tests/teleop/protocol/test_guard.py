@@ -298,26 +298,18 @@ def test_messages_that_are_older_than_the_watchdog_allows_count_as_none_and_the_
     assert gains == pytest.approx([*[1.0] * 10, *DOWN, *[0.0] * 5])
     assert [event.why for event in one.events] == ["age: messages come more than 0.5 s after they were sent"]
     assert (one.old, one.oldest) == (20, pytest.approx(0.51))
-    assert [one.step(k, True, age=20) for k in range(70, 78)] == [0.0] * 8
-    assert one.step(78, True, age=20) > 0.0
-    assert one.events[-1].what == "released"
-
-
-def test_without_an_age_a_message_may_be_of_any_and_by_itself_it_is_two_and_a_half_seconds() -> None:
+    assert str(one.cause).startswith("age")
+    silent = guard(replace(DOG, age=0.5))
+    for k in range(60):
+        silent.step(k, k < 30, age=60)
+    assert str(silent.cause).startswith("silence"), "and silence after old messages is silence"
     assert Watchdog().age == UNNAMED.age == 2.5
     free = guard(replace(DOG, age=None))
     assert [free.step(k, True, age=10**9) for k in range(50)] == [1.0] * 50
     assert (free.old, free.age) == (0, None)
-
-
-def test_silence_after_old_messages_is_silence() -> None:
-    one = guard(replace(DOG, age=0.5))
-    for k in range(30):
-        one.step(k, True, age=60)
-    assert str(one.cause).startswith("age")
-    for k in range(30, 60):
-        one.step(k, False)
-    assert str(one.cause).startswith("silence")
+    assert [one.step(k, True, age=20) for k in range(70, 78)] == [0.0] * 8
+    assert one.step(78, True, age=20) > 0.0
+    assert one.events[-1].what == "released"
 
 
 

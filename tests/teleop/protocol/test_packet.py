@@ -34,6 +34,7 @@ from teleop.protocol.packet import (
     one_line,
     unwrapped,
 )
+from tests.teleop.protocol.ends import packet_in
 from tests.teleop.protocol.vectors import FILE, packet_of, text
 
 WIDTH = 5
@@ -92,8 +93,7 @@ def forged(kind: int = 0, **changes: object) -> bytes:
 @given(packets(), st.none() | st.integers(1000, MOST_DATA))
 def test_a_packet_comes_back_to_the_bit_and_of_the_size_asked_for(packet: Packet, size: int | None) -> None:
     data = encode(packet, size)
-    got = decode(data, WIDTH)
-    assert isinstance(got, Packet)
+    got = packet_in(data, WIDTH)
     assert got == packet
     assert type(got.kind) is Kind
     assert type(got.echo) is type(packet.echo)
@@ -113,8 +113,7 @@ def test_the_layout_is_the_documented_one() -> None:
 def test_the_two_ways_are_two_kinds_and_both_carry_messages_alone() -> None:
     assert {Kind.FORTH, Kind.BACK} == DATA
     for kind in DATA:
-        got = decode(encode(LARGEST._replace(kind=kind)), WIDTH)
-        assert isinstance(got, Packet)
+        got = packet_in(encode(LARGEST._replace(kind=kind)), WIDTH)
         assert got.kind is kind
         assert decode(framed(GOOD, kind, padding=bytes(MOST_DATA)), WIDTH) is Rejection.OVERSIZE
     assert len(encode(HELLO, MOST_DATA + 1)) == MOST_DATA + 1, "a word of the session itself may be longer"
@@ -146,8 +145,7 @@ def test_least_size_is_the_size_of_the_largest_packet() -> None:
 @example("λ" * 3000)
 @example("two\n" * 3000)
 def test_any_text_can_be_sent_as_a_reason(text: str) -> None:
-    got = decode(encode(Packet(Kind.BYE, 1, 2, 3, None, text)), WIDTH)
-    assert isinstance(got, Packet)
+    got = packet_in(encode(Packet(Kind.BYE, 1, 2, 3, None, text)), WIDTH)
     assert got.payload == one_line(text)
     assert one_line(text).isprintable()
     assert len(one_line(text)) <= MOST_SENTENCE

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from channel import Delay
-from teleop import At, find_law, kind, seed_energy
+from teleop import find_law, kind, seed_energy
 from teleop.errors import Refused
 from teleop.law import known_laws
 from teleop.law.offers import claims_of
@@ -209,44 +208,9 @@ def test_a_position_is_averaged_where_it_is_a_place_and_the_newest_where_it_is_a
 
 
 # Laws that keep energy, over a rough link: what they keep came in by their ports. A sum of energy is a total, so the
-# newest message has all of it; energy that is sent in parts is counted twice by a faster end.
+# newest message has all of it.
 
 KEEPERS = [name for name in known_laws() if "E_law" in claims_of(find_law(name)())]
-
-
-class Part(NamedTuple):
-    q: float  # J, sent at this tick
-
-
-class Tank(NamedTuple):
-    E: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class InParts:
-    """Dampers at both ends; of the energy that they take up each sends a tenth at every tick, and adds what comes."""
-
-    claims: ClassVar[dict[str, str]] = {"E_law": "any link"}
-
-    def master_start(self, at: At) -> Any:
-        return Tank(0.0), Part(0.0)
-
-    def slave_start(self, at: At) -> Any:
-        return Tank(0.0), Part(0.0)
-
-    def master(self, s: Tank, at: At, rx: Part) -> Any:
-        E = s.E + at.f_held * at.dx + rx.q * at.fresh
-        return at.v, Part(0.1 * E), Tank(0.9 * E)
-
-    def slave(self, s: Tank, at: At, rx: Part) -> Any:
-        E = s.E - at.f_held * at.dx + rx.q * at.fresh
-        return 200.0 * (0.02 - at.x) - at.v, Part(0.1 * E), Tank(0.9 * E)
-
-    def master_stored(self, s: Tank) -> float:
-        return s.E
-
-    def slave_stored(self, s: Tank) -> float:
-        return s.E
 
 
 def books(law: Any, every: tuple[int, int]) -> tuple[Any, Any, Any]:
@@ -271,8 +235,3 @@ def test_what_a_law_keeps_came_in_by_its_ports(rates: str, name: str) -> None:
     assert honest.min() >= -1e-9
     assert left.min() >= -1e-9
     assert through > 1e-3, "and it is not nothing that went through"
-
-
-def test_energy_that_is_sent_in_parts_is_counted_twice_by_a_faster_end() -> None:
-    honest, *_ = books(InParts(), RATES["1000 and 250 Hz"])
-    assert honest.min() < -1e-6

@@ -9,13 +9,13 @@ from slave.robot import SimulatedSlave
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.protocol.endpoint import Endpoint
-from teleop.protocol.packet import Echo, Packet, decode, encode
+from teleop.protocol.packet import Echo, encode
 from teleop.scene.playout import Fixed, Zero
 from teleop.scene.scene import Scene
 from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
 from tests.fakes import usually
-from tests.teleop.protocol.ends import MS, START, met, scene
+from tests.teleop.protocol.ends import MS, START, met, packet_in, scene
 
 COUNT = 420
 WRAP = 2**32 - 200
@@ -55,8 +55,7 @@ class Joined:
 
     def strange(self, honest: bytes) -> list[bytes]:
         """The newest message under numbers that are far off."""
-        packet = decode(honest, self.width)
-        assert isinstance(packet, Packet)
+        packet = packet_in(honest, self.width)
         seqs = [(packet.seq + off) % 2**32 for off in (5000, 2**31 - 1, 2**31, 2**31 + 1, -(2**30) - 50)]
         return [encode(packet._replace(seq=seq, echo=Echo(0, 0))) for seq in seqs]
 

@@ -16,6 +16,7 @@ from teleop.protocol.manifest import EVERY, MOST_EVERY, TICK_0
 from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, decode, encode
 from teleop.protocol.session import AGAIN_NS, CLUTCH, FIRST_NS, RENEW_NS, REPEATED, TURN, Session
 from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, Cause, SessionEvent, SessionState, Table
+from tests.teleop.protocol.ends import packet_in
 from tests.teleop.protocol.test_session import MANIFEST, MS, Talk, hello, start_of, started
 
 
@@ -63,25 +64,12 @@ def test_who_leaves_while_the_master_asks_anew_is_heard(leaves: str) -> None:
     assert (talk.master.meeting, talk.master.number, talk.slave.number) == (True, 8, 7)
     gone, left = (talk.master, talk.slave) if leaves == "master" else (talk.slave, talk.master)
     for data in gone.bye("the bus is gone", talk.now):
-        packet = decode(data, 1)
-        assert isinstance(packet, Packet)
+        packet = packet_in(data)
         left.receive(packet, talk.now)
     assert left.farewell == "the bus is gone"
 
 
-def test_a_farewell_of_a_session_long_gone_is_not_heard() -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
-    talk.messages = False
-    talk.run(5000 * MS)
-    talk.messages = True
-    talk.run(6000 * MS)
-    assert (talk.master.number, talk.master.meeting) == (8, False)
-    talk.master.receive(Packet(Kind.BYE, 7, 0, 0, None, "of before"), talk.now)
-    assert talk.master.farewell is None
-
-
-def test_the_number_after_the_last_is_zero() -> None:
+def test_the_number_after_the_last_is_zero_and_a_farewell_of_a_session_long_gone_is_not_heard() -> None:
     talk = Talk(Session(master=True, manifest=MANIFEST, number=2**64 - 1))
     talk.run(1000 * MS)
     assert talk.slave.number == 2**64 - 1
@@ -89,6 +77,11 @@ def test_the_number_after_the_last_is_zero() -> None:
     talk.run(3000 * MS)
     assert talk.master.number == talk.slave.number == 0
     assert talk.slave.met == 2
+    talk.messages = True
+    talk.run(4000 * MS)
+    assert not talk.master.meeting
+    talk.master.receive(Packet(Kind.BYE, 2**64 - 1, 0, 0, None, "of before"), talk.now)
+    assert talk.master.farewell is None
 
 
 def test_a_session_that_goes_by_packets_is_never_renewed() -> None:
@@ -272,8 +265,7 @@ def test_an_end_that_the_other_has_not_heard_for_as_long_as_a_session_lives_is_i
     assert not end.carries_data
     assert "nothing of this end arrived" in end.ended.why
     (data,) = end.due(talk.now)
-    packet = decode(data, 1)
-    assert isinstance(packet, Packet)
+    packet = packet_in(data)
     assert (packet.kind, packet.session) == ((Kind.HELLO, 8) if master else (Kind.RENEW, 7))
     assert end.due(talk.now + 1) == [], "and again after a while"
 
@@ -296,8 +288,7 @@ def test_a_slave_that_asks_for_another_session_has_it_and_its_asking_for_the_one
     talk.run(2000 * MS)
     talk.slave.end("the session is over: its end stood still")
     (asks,) = talk.slave.due(talk.now)
-    packet = decode(asks, 1)
-    assert isinstance(packet, Packet)
+    packet = packet_in(asks)
     for _ in range(3):
         assert talk.master.receive(packet, talk.now) == []
         assert talk.master.ended.why.startswith("the session is over")

@@ -13,12 +13,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from channel.link import parse_link
-from teleop.protocol.packet import Packet, decode, encode
+from teleop.protocol.packet import Packet, encode
 from teleop.protocol.reception import IntegralCheck
 from teleop.scene.playout import Energy, Fixed, Integral
 from teleop.stages.force_cap import Cap
 from teleop.stages.wave_integral import Integrals
-from tests.teleop.protocol.ends import MS, ROUGH, Both, met, scene
+from tests.teleop.protocol.ends import MS, ROUGH, Both, met, packet_in, scene
 from tests.teleop.protocol.threats.hands import STILL, WATCHED, at, handed_on
 from tests.teleop.protocol.virtual_clock import World, healing
 
@@ -32,8 +32,7 @@ def lying(lie: Lie | None, ticks: range) -> Both:
         if e == "s" and k in ticks:
             if lie is None:
                 return []
-            packet = decode(datagram, 4)
-            assert isinstance(packet, Packet)
+            packet = packet_in(datagram, 4)
             u, U, E, T = packet.payload  # type: ignore[misc]  # of a message of the law
             told = lie(Integrals(T, U, E), k)  # type: ignore[arg-type]
             datagram = encode(packet._replace(payload=(u, told.U, told.E, told.T)), len(datagram))  # type: ignore[arg-type]
