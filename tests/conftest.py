@@ -33,7 +33,7 @@ TIMED = (
 
 CLOCKLESS = ("tests/live/test_stepped.py", "tests/live/test_device_lock.py")  # with sockets or processes, by no clock
 STAND_INS = "tests/live/page/"
-REAL = ("test_real.py", "test_page_demo.py")  # of these files there: with the ends of a run
+REAL = ("test_real.py",)  # of these files there: with the ends of a run
 
 settings.register_profile(
     "suite", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, database=None,

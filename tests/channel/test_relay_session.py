@@ -21,17 +21,6 @@ from tests.live.conftest import command, summary  # noqa: F401 (a fixture)
 # In the open
 
 
-def test_messages_of_an_unknown_host_are_not_passed_on_and_hold_nothing() -> None:
-    """Neither before a session nor in one; only what the slave has taken up is passed on."""
-    site = Site()
-    for kind in (Kind.FORTH, Kind.BACK, Kind.START, Kind.BYE, Kind.WELCOME, Kind.REFUSE):
-        assert not site.takes(site.session(5)(kind), UNKNOWN)
-    site.run(7)
-    assert not site.takes(site.session(5)(Kind.FORTH), UNKNOWN)
-    assert not site.takes(site.session(7)(Kind.FORTH), UNKNOWN)
-    site.run(7)
-
-
 def test_a_master_meets_the_slave_however_many_hosts_say_hello_meanwhile() -> None:
     """Each is answered, and none has a turn in which the others wait: the slave says whose session it is."""
     site = Site()
@@ -81,15 +70,19 @@ def test_neither_a_welcome_nor_what_comes_from_elsewhere_holds_the_link() -> Non
 
 
 def test_a_session_that_runs_is_not_taken_over() -> None:
+    """Before it, too, messages of an unknown host hold nothing: only what the slave has taken up is passed on."""
     site = Site()
+    strange = site.session(5)
+    for kind in (Kind.FORTH, Kind.BACK, Kind.START, Kind.BYE, Kind.WELCOME, Kind.REFUSE):
+        assert not site.takes(strange(kind), UNKNOWN)
     site.run(7)
     site.out[0].clear()
     site.out[1].clear()
-    strange = site.session(5)
     for _ in range(40):
         site.run(7, 20)
         for kind in (Kind.HELLO, Kind.FORTH, Kind.START):
             assert not site.takes(strange(kind), UNKNOWN)
+        assert not site.takes(site.session(7)(Kind.FORTH), UNKNOWN)
         assert not site.takes(hello(), UNKNOWN)
         for kind in (Kind.WELCOME, Kind.BACK, Kind.START):
             assert not site.takes(strange(kind), OTHER_HOME)
@@ -206,9 +199,9 @@ def test_masters_that_showed_their_addresses_have_a_port_each_towards_the_slave(
         assert site.out[0][-1][0] == master
 
 
-def test_a_handshake_beside_the_masters_own_does_not_hold_the_link() -> None:
-    """However long it goes on: the one that the slave takes up is the one that is kept."""
-    site = Site()
+def test_the_master_that_the_slave_took_up_keeps_the_link_while_both_speak() -> None:
+    """A handshake beside its own does not hold it, however long it goes on: the one that is taken up is kept."""
+    site, third = Site(), ("203.0.113.9", 5000)
     site.asks(UNKNOWN)
     for _ in range(20):
         site.now += 100 * MS
@@ -223,7 +216,15 @@ def test_a_handshake_beside_the_masters_own_does_not_hold_the_link() -> None:
         site.now += 100 * MS
         assert site.takes(sealed(number), MASTER)
         assert site.takes(sealed(number), SLAVE, honest)
+        assert not site.takes(hello(2), third)
+        assert not site.takes(site.session(5)(Kind.HELLO), third)
     assert not site.takes(sealed(1), UNKNOWN)
+    for _ in range(11):
+        site.now += 100 * MS
+        assert site.takes(sealed(1), MASTER)
+    site.asks(third)
+    site.takes(sealed(0, 22), SLAVE)
+    assert not site.takes(sealed(1), MASTER), "the slave has fallen silent, and has taken up another"
 
 
 def test_no_host_keeps_out_another_however_many_ports_it_asks_from() -> None:
@@ -256,24 +257,6 @@ def test_what_a_master_sends_before_the_slave_has_taken_it_up_is_bounded() -> No
     assert passed == UNMET_MOST - 1
     site.now += UNMET_NS
     site.asks()
-
-
-def test_the_master_that_the_slave_took_up_keeps_the_link_while_both_speak() -> None:
-    site = Site()
-    site.asks()
-    assert site.takes(sealed(0, 22), SLAVE)
-    for number in range(200):
-        site.now += 100 * MS
-        assert site.takes(sealed(number), MASTER)
-        assert site.takes(sealed(number), SLAVE)
-        assert not site.takes(hello(2), UNKNOWN)
-        assert not site.takes(site.session(5)(Kind.HELLO), UNKNOWN)
-    for _ in range(11):
-        site.now += 100 * MS
-        assert site.takes(sealed(1), MASTER)
-    site.asks(UNKNOWN)
-    site.takes(sealed(0, 22), SLAVE)
-    assert not site.takes(sealed(1), MASTER), "the slave has fallen silent, and has taken up another"
 
 
 def test_a_sealed_answer_from_another_address_is_heard_if_it_has_the_number_of_the_hello(

@@ -226,7 +226,7 @@ def test_turned_to_another_scene_it_goes_on_from_the_same_place_and_speed_to_the
 def test_started_again_it_is_at_rest_at_the_new_scenes_start_and_what_moves_begins_anew(
     Device: Any, scene: Scene
 ) -> None:
-    device, fresh = Device(scene), Device(scene)
+    device, fresh = Device(replace(scene, start_m=0.0, start_s=0.0)), Device(scene)
     readings(device, forces(131))
     device.turn(scene, again=True)
     assert [device.read(130 + k) for k in range(250)] == [fresh.read(k) for k in range(250)]

@@ -97,21 +97,17 @@ Scenario = Callable[[Served], Awaitable[None]]
 
 @pytest.fixture
 def served(tmp_path: Path) -> Callable[..., Served]:
-    """`served(scenario, scene="hard_wall", **knobs)`: serve a page, have the scenario run beside it, and end both."""
-    def serve(scenario: Scenario, scene: str = "hard_wall", program: tuple[str, ...] = FAKE, **knobs: str) -> Served:
-        return asyncio.run(_serve(scenario, tmp_path / "page", scene, program, knobs))
-
-    return serve
+    """`served(scenario)`: serve a page of hard_wall, have the scenario run beside it, and end both."""
+    return lambda scenario, html=HTML: asyncio.run(_serve(scenario, tmp_path / "page", html))
 
 
-async def _serve(scenario: Scenario, folder: Path, scene: str, program: tuple[str, ...],
-                 knobs: dict[str, str]) -> Served:
+async def _serve(scenario: Scenario, folder: Path, html: bytes) -> Served:
     folder.mkdir()
     interrupt = Interrupt()
-    parts = PageParts(folder, {"scene": scene, "seed": 0, "command": ["teleop", "demo", "--page"]})
-    page = Page(Controls(scene, knobs), parts, Start(scene, 0, program=program), interrupt, time.monotonic)
+    parts = PageParts(folder, {"scene": "hard_wall", "seed": 0, "command": ["teleop", "demo", "--page"]})
+    page = Page(Controls("hard_wall", {}), parts, Start("hard_wall", 0, program=FAKE), interrupt, time.monotonic)
     port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-    running = asyncio.create_task(page.run(Requests(HTML, TOKEN), 0, port.set_result))
+    running = asyncio.create_task(page.run(Requests(html, TOKEN), 0, port.set_result))
     await asyncio.wait([running, port], return_when=asyncio.FIRST_COMPLETED)
     served = Served(await port, folder, page, interrupt)
     steps = asyncio.ensure_future(scenario(served))

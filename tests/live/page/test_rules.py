@@ -24,7 +24,7 @@ from teleop.live.page.server import GARBAGE, LONGEST, MOST, SECONDS, Allowance, 
 FAST = Choice(law="pfra")
 
 
-def test_of_two_pointers_the_one_that_moved_last_drags() -> None:
+def test_of_two_pointers_the_one_that_moved_last_drags_and_one_that_says_nothing_lets_go_after_a_while() -> None:
     drag = Drag()
     drag.move("a", (0.1,), 0.0)
     drag.move("b", (0.2,), 0.1)
@@ -34,24 +34,16 @@ def test_of_two_pointers_the_one_that_moved_last_drags() -> None:
     assert drag.target(0.3) == (0.3,)
     drag.let_go("a")
     assert drag.target(0.3) == (0.2,)
+    assert drag.target(0.1 + HOLDS) == (0.2,)
+    assert drag.target(0.1 + HOLDS + 0.01) is None
 
 
-def test_a_pointer_that_says_nothing_holds_for_a_while_and_then_lets_go() -> None:
-    drag = Drag()
-    drag.move("a", (0.1,), 0.0)
-    assert drag.target(HOLDS) == (0.1,)
-    assert drag.target(HOLDS + 0.01) is None
-
-
-def test_a_page_that_says_as_much_as_it_may_is_heard_for_ever() -> None:
-    allowed = Allowance()
+def test_what_a_page_says_beyond_its_share_is_dropped_told_once_and_after_some_seconds_the_page_floods() -> None:
+    """One that says as much as it may is heard for ever; one that keeps quiet for a second begins anew."""
+    allowed, told = Allowance(), 0
     assert all(allowed.takes(second + i / 1000) for second in range(20) for i in range(MOST))
     assert not allowed.floods
-
-
-def test_what_is_more_is_dropped_told_once_and_after_some_seconds_the_page_floods() -> None:
-    allowed, told = Allowance(), 0
-    for second in range(SECONDS + 1):
+    for second in range(30, 30 + SECONDS + 1):
         assert not allowed.floods
         for i in range(2 * MOST):
             taken = allowed.takes(second + i / 1000)
@@ -60,14 +52,11 @@ def test_what_is_more_is_dropped_told_once_and_after_some_seconds_the_page_flood
     assert told == 1
     assert allowed.dropped == (SECONDS + 1) * MOST
     assert allowed.floods
-
-
-def test_a_page_that_keeps_quiet_for_a_second_begins_anew() -> None:
-    allowed = Allowance()
+    quiet = Allowance()
     for second in (0, 1, 2, 3, 4, 6):
         for i in range(2 * MOST):
-            allowed.takes(second + i / 1000)
-    assert not allowed.floods
+            quiet.takes(second + i / 1000)
+    assert not quiet.floods
 
 
 def test_garbage_is_told_once_of_each_kind_and_counted() -> None:
@@ -122,21 +111,17 @@ def test_one_turn_at_a_time_and_of_what_is_asked_meanwhile_the_newest() -> None:
     assert second.choice == FAST._replace(k_e=3.0)
 
 
-def test_that_it_is_to_begin_again_is_not_lost_over_a_slider() -> None:
+def test_that_it_is_to_begin_again_is_not_lost_over_a_slider_and_what_is_taken_back_is_no_turn() -> None:
     switches = SwitchQueue(Choice())
+    switches.ask(FAST)
+    switches.ask(Choice())
+    assert switches.next(1.0) is None
     switches.ask(switches.wanted, again=True)
     switches.ask(FAST)
     turn = switches.next(1.0)
     assert turn is not None
     assert turn.again
     assert turn.choice == FAST
-
-
-def test_what_is_asked_for_and_taken_back_is_no_turn() -> None:
-    switches = SwitchQueue(Choice())
-    switches.ask(FAST)
-    switches.ask(Choice())
-    assert switches.next(1.0) is None
 
 
 def test_a_turn_without_all_answers_is_late_and_given_up_for_what_was_before() -> None:
@@ -168,19 +153,13 @@ def test_a_force_at_its_cap_again_and_again_is_told_of_and_that_it_is_over() -> 
     assert last == "stable again"
 
 
-def test_a_slow_swing_between_the_caps_is_told_of() -> None:
+def test_a_slow_swing_between_the_caps_and_one_that_grows_without_a_cap_are_told_of_and_no_others() -> None:
     """Direct reflection over half a second each way swung for ten seconds, and the page said nothing."""
     for slow in ([(0.0, 20.0), (0.0, 0.0)], [(0.0, 20.0), (20.0, 20.0), (0.0, 20.0), (0.0, 0.0)]):
         said = seconds(Shaking([20.0]), *slow * 6, *[(1.0, 1.0)] * 8)
         assert [each.partition(":")[0] for each in said] == ["unstable", "stable again"]
-
-
-def test_a_swing_that_grows_is_told_of_where_there_is_no_cap() -> None:
-    [said] = seconds(Shaking([None]), *[(-a, a) for a in (0.3, 0.5, 1.0, 2.0, 4.0, 8.0)])
-    assert "more each second" in said
-
-
-def test_a_force_that_does_neither_is_left_alone() -> None:
+    [grows] = seconds(Shaking([None]), *[(-a, a) for a in (0.3, 0.5, 1.0, 2.0, 4.0, 8.0)])
+    assert "more each second" in grows
     for swings in (
         [(3.5, 3.5)] * 8,  # a wall that is pressed
         [(-5.0, 5.0)] * 8,  # a swing that stays, off the cap
@@ -197,11 +176,6 @@ def test_what_a_person_does_is_not_called_unstable() -> None:
         shaking.note_motion()
         said += seconds(shaking, (-20.0, 20.0), start=i)
     assert said == []
-
-
-def test_a_link_is_written_without_what_is_nothing() -> None:
-    assert LinkSettings(0.05, 0.0, 0.1).text == "delay(0.05) | bernoulli(0.1)"
-    assert LinkSettings().text == "delay(0.0)"
 
 
 def test_a_law_takes_its_own_numbers_and_the_scenes_own_law_those_that_were_typed() -> None:
@@ -228,6 +202,7 @@ def test_the_page_turned_back_to_the_scenes_law_without_its_gains_and_showed_non
 def test_the_scenes_own_link_stays_until_a_slider_of_it_is_moved() -> None:
     controls = Controls("jittery_wan", {})
     assert "link" not in controls.knobs(controls.chosen(Choice(), {"k_e": 1e3}))
+    assert LinkSettings().text == "delay(0.0)", "without what is nothing"
     moved = controls.chosen(Choice(), {"loss": 0.1})
     assert moved.link is not None
     assert controls.knobs(moved)["link"] == "delay(0.04) | uniform(0.02) | bernoulli(0.1)"
