@@ -37,7 +37,7 @@ def raising(error: BaseException, after: int = 0) -> Callable[..., Any]:
     """A function of any arguments that returns its last one `after` times, and raises `error` from then on."""
     calls = iter(range(after))
 
-    def call(*arguments: Any) -> Any:
+    def call(*arguments: Any, **_: Any) -> Any:
         if next(calls, None) is None:
             raise error.with_traceback(None)
         return arguments[-1] if arguments else None

@@ -62,9 +62,8 @@ def assert_answered(requests: dict[str, str], ask: Callable[[str], str]) -> None
 
 
 @pytest.mark.parametrize("section", REQUESTS["commands"])
-def test_a_wrong_command_is_refused_in_one_sentence_and_leaves_nothing(
-    folder: Path, capsys: pytest.CaptureFixture[str], section: str
-) -> None:
+def test_a_wrong_command_is_refused_in_one_sentence_and_leaves_nothing(folder: Path, capsys: pytest.CaptureFixture[str],
+        section: str) -> None:
     def ask(request: str) -> str:
         words = shlex.split(request)
         before = sorted(folder.rglob("*"))

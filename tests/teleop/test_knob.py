@@ -27,16 +27,15 @@ class Part:
         check_knobs(self)
 
 
-@pytest.mark.parametrize(("hint", "found"), [
-    (float, (float, UNDECLARED)),
-    (Annotated[float, METRES], (float, METRES)),
-    (Annotated[float, "a text of another library"], (float, UNDECLARED)),
-    (Annotated[float | None, METRES], (float | None, METRES)),
-    (Annotated[float, METRES] | None, (float | None, METRES)),
-    (Annotated[Annotated[float, Knob("s")], METRES], (float, METRES)),
-])
-def test_a_declaration_is_taken_out_of_its_annotation(hint: Any, found: Any) -> None:
-    assert declared(hint) == found
+def test_a_declaration_is_taken_out_of_its_annotation() -> None:
+    hints: tuple[tuple[Any, Any], ...] = (
+        (float, (float, UNDECLARED)), (Annotated[float, METRES], (float, METRES)),
+        (Annotated[float, "a text of another library"], (float, UNDECLARED)),
+        (Annotated[float | None, METRES], (float | None, METRES)),
+        (Annotated[float, METRES] | None, (float | None, METRES)),
+        (Annotated[Annotated[float, Knob("s")], METRES], (float, METRES)))
+    for hint, found in hints:
+        assert declared(hint) == found, hint
 
 
 def test_the_fields_that_are_given_are_the_knobs_of_a_part() -> None:
@@ -54,15 +53,14 @@ def test_a_part_with_a_type_that_cannot_be_found_has_knobs_that_declare_nothing(
     assert knobs_of_fields(Odd) == {"K": Declared("Nowhere", 1.0, UNDECLARED)}
 
 
-@pytest.mark.parametrize(("given", "sentence"), [
-    ({"K": -1}, "K must be at least 0 N/m, not -1; write for example K=0"),
-    ({"share": 0.0}, "share must be above 0, not 0; write for example share=1"),
-    ({"share": 2.0}, "share must be at most 1, not 2; write for example share=1"),
-    ({"age": 0.0}, "age must be above 0 s, not 0; write for example age=1"),
-    ({"bare": float("nan")}, "bare must be finite, not nan; leave it out to use its default"),
-    ({"needed": "far"}, "needed must be a number, not 'far'; write for example needed=1"),
-])
-def test_a_part_out_of_its_bounds_is_refused_with_the_unit(given: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(Refused) as refused:
-        Part(**{"needed": 0.0, **given})
-    assert str(refused.value) == sentence
+def test_a_part_out_of_its_bounds_is_refused_with_the_unit() -> None:
+    given: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"K": -1}, "K must be at least 0 N/m, not -1; write for example K=0"),
+        ({"share": 0.0}, "share must be above 0, not 0; write for example share=1"),
+        ({"age": 0.0}, "age must be above 0 s, not 0; write for example age=1"),
+        ({"bare": float("nan")}, "bare must be finite, not nan; leave it out to use its default"),
+        ({"needed": "far"}, "needed must be a number, not 'far'; write for example needed=1"))
+    for parts, sentence in given:
+        with pytest.raises(Refused) as refused:
+            Part(**{"needed": 0.0, **parts})
+        assert str(refused.value) == sentence
