@@ -1,59 +1,25 @@
-"""The answers of the commands: every document begins alike, and a number without a bound is null."""
+"""The answers of the commands: every document begins alike, a folder is whole or none, and Ctrl-C while one is written.
+
+A number without a bound is null in every document.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import signal
+from argparse import Namespace
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from teleop.terminal.answer import Answer, Task, command_of, interrupts_wait
+from teleop.terminal.options import typed_number, typed_range
+
 HEAD = ["status", "sentence", "scene", "mode", "parameters", "seed", "versions", "command", "dt"]
-
-
-@pytest.mark.parametrize(("words", "mode"), [
-    (("run", "local", "--set", "duration=0.05"), "virtual"),
-    (("stability", "soft_tissue", "--set", "delay=0.005"), "stability"),
-    (("stability", "local", "--set", "duration=0.5", "--time"), "stability"),
-    (("passivity", "virtual_wall"), "passivity"),
-    (("precision", "hard_wall", "--set", "duration=0.02", "--rounds", "1"), "precision"),
-])
-def test_every_document_about_a_scene_begins_alike(typed: Callable[..., Any], words: tuple[str, ...], mode: str
-                                                   ) -> None:
-    told = json.loads(typed(*words, "--seed", "3", "--json").out)
-    assert [*told][:len(HEAD)] == HEAD
-    assert (told["scene"], told["mode"], told["seed"]) == (words[1], mode, 3)
-    assert {"bilateral-teleop", "python", "numpy"} <= {*told["versions"]}
-    assert told["command"][:2] == ["teleop", words[0]]
-    assert told["dt"] == 1e-3
-
-
-def test_the_document_of_a_sweep_had_no_head(typed: Callable[..., Any]) -> None:
-    """What differs between its rows is null, or left out of the parameters."""
-    words = ("sweep", "local", "--set", "duration=0.05", "--json")
-    told = json.loads(typed(*words, "--grid", "k_e=100,200").out)
-    assert [*told][:len(HEAD)] == HEAD
-    assert (told["scene"], told["mode"], told["seed"], told["dt"]) == ("local", "sweep", 0, 1e-3)
-    assert told["sentence"] == "2 of 2 rows done: 2 ok"
-    single = json.loads(typed("run", "local", "--set", "duration=0.05", "--json").out)
-    assert told["parameters"] == {name: value for name, value in single["parameters"].items() if name != "k_e"}
-    several = json.loads(typed(*words, "--grid", "dt=1e-3,5e-4", "law.b=1,2", "--seeds", "2", "--out", "b").out)
-    assert (several["seed"], several["dt"]) == (None, None)
-    assert "dt" not in several["parameters"]
-    assert "b" not in several["parameters"]["law"]
-    assert [*json.loads(typed("report", "b", "--json").out)][:len(HEAD)] == HEAD
-
-
-@pytest.mark.parametrize("words", [
-    ("run", "local", "--set", "duration=0.05"), ("stability", "soft_tissue", "--set", "delay=0.005"),
-    ("passivity", "virtual_wall"),
-])
-def test_the_file_in_the_folder_is_the_document_that_is_printed(typed: Callable[..., Any], words: tuple[str, ...]
-                                                                ) -> None:
-    told = json.loads(typed(*words, "--json", "--out", "here").out)
-    assert told.pop("path") == "here"
-    assert told == json.loads(Path("here/summary.json").read_text())
+SHORT = ("--set", "duration=0.05")
+PRECISION = ("precision", "hard_wall", "--set", "duration=0.02", "--rounds", "1")
 
 
 def keys_of(document: Any, path: tuple[str, ...] = ()) -> set[str]:
@@ -66,29 +32,121 @@ def keys_of(document: Any, path: tuple[str, ...] = ()) -> set[str]:
         key, ".".join([*path, key]), *keys_of(each, (*path, key)))}
 
 
-@pytest.mark.parametrize("words", [
-    ("passivity", "canonical"), ("passivity", "virtual_coupling"), ("stability", "soft_tissue", "--continuous"),
-    ("stability", "local", "--set", "duration=0.5", "--time"),
-    ("precision", "hard_wall", "--set", "duration=0.02", "--rounds", "1"),
+@pytest.mark.parametrize(("words", "mode"), [
+    (("run", "local", *SHORT), "virtual"), (("stability", "soft_tissue", "--continuous"), "stability"),
+    (("stability", "local", "--set", "duration=0.5", "--time"), "stability"), (PRECISION, "precision"),
+    (("passivity", "virtual_wall"), "passivity"), (("passivity", "canonical"), "passivity"),
 ])
-def test_units_were_named_of_keys_that_are_not_there(typed: Callable[..., Any], words: tuple[str, ...]) -> None:
-    told = json.loads(typed(*words, "--json").out)
-    units = told.pop("units")
-    assert {*units} <= keys_of(told)
-    assert len(units) >= 3
+def test_every_document_about_a_scene_begins_alike_is_the_file_in_the_folder_and_names_units_of_keys_that_are_there(
+        typed: Callable[..., Any], words: tuple[str, ...], mode: str) -> None:
+    document = json.loads(typed(*words, "--seed", "3", "--json", "--out", "here").out)
+    assert [*document][:len(HEAD)] == HEAD
+    assert (document["scene"], document["mode"], document["seed"]) == (words[1], mode, 3)
+    assert {"bilateral-teleop", "python", "numpy"} <= {*document["versions"]}
+    assert document["command"][:2] == ["teleop", words[0]]
+    assert document["dt"] == 1e-3
+    assert document.pop("path") == "here"
+    assert document == json.loads(Path("here/summary.json").read_text())
+    if words[0] != "run":
+        units = document.pop("units")
+        assert {*units} <= keys_of(document)
+        assert len(units) >= 3
 
 
-def test_the_round_trip_had_one_unit_in_ticks_and_in_seconds(typed: Callable[..., Any]) -> None:
-    units = json.loads(typed("stability", "soft_tissue", "--set", "law=direct", "--continuous", "--critical", "k_e",
-                             "--tol", "1", "--json").out)["units"]
-    assert (units["round_trip"], units["continuous.round_trip"]) == ("ticks", "s")
-    assert units["value"] == "N/m"  # the knob's
+def test_the_document_of_a_sweep_had_no_head(typed: Callable[..., Any]) -> None:
+    """What differs between its rows is null, or left out of the parameters."""
+    words = ("sweep", "local", *SHORT, "--json")
+    document = json.loads(typed(*words, "--grid", "k_e=100,200").out)
+    assert [*document][:len(HEAD)] == HEAD
+    assert (document["scene"], document["mode"], document["seed"], document["dt"]) == ("local", "sweep", 0, 1e-3)
+    assert document["sentence"] == "2 of 2 rows done: 2 ok"
+    single = json.loads(typed("run", "local", *SHORT, "--json").out)
+    assert document["parameters"] == {name: value for name, value in single["parameters"].items() if name != "k_e"}
+    several = json.loads(typed(*words, "--grid", "dt=1e-3,5e-4", "law.b=1,2", "--seeds", "2", "--out", "b").out)
+    assert (several["seed"], several["dt"]) == (None, None)
+    assert "dt" not in several["parameters"]
+    assert "b" not in several["parameters"]["law"]
+    assert [*json.loads(typed("report", "b", "--json").out)][:len(HEAD)] == HEAD
 
 
-@pytest.mark.parametrize(("words", "unit"), [
-    (("passivity", "leader_follower", "--axis", "elbow"), "N m/rad"),
-    (("stability", "leader_follower", "--time"), "rad"),
-])
-def test_of_a_joint_the_units_were_those_of_a_line(typed: Callable[..., Any], words: tuple[str, ...], unit: str
-                                                   ) -> None:
-    assert unit in json.loads(typed(*words, "--set", "duration=0.2", "--json").out)["units"].values()
+def test_the_round_trip_had_one_unit_in_ticks_and_in_seconds_and_a_joint_that_of_a_line(
+        typed: Callable[..., Any]) -> None:
+    def units(*words: str) -> dict[str, str]:
+        return dict(json.loads(typed(*words, "--json").out)["units"])
+
+    found = units("stability", "soft_tissue", "--set", "law=direct", "--continuous", "--critical", "k_e", "--tol", "50")
+    assert (found["round_trip"], found["continuous.round_trip"]) == ("ticks", "s")
+    assert found["value"] == "N/m"  # the knob's
+    joint = ("--set", "duration=0.2")
+    assert "N m/rad" in units("passivity", "leader_follower", "--axis", "elbow", *joint).values()
+    assert "rad" in units("stability", "leader_follower", "--time", *joint).values()
+
+
+def test_a_range_is_two_finite_numbers_the_lower_first() -> None:
+    assert typed_range("--range", "-1:2e3", example="1:2") == (-1.0, 2000.0)
+    assert typed_number("--tol", "1e-3", example="0.01") == 1e-3
+
+
+class TestCtrlC:
+    @pytest.fixture(autouse=True)
+    def ctrl_c(self) -> Iterator[None]:
+        """Ctrl-C as a process has it that was started at a terminal."""
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        yield
+        signal.signal(signal.SIGINT, before)
+
+    def test_raises_nothing_and_is_noted_however_often_it_comes(self) -> None:
+        with interrupts_wait() as interrupt:
+            assert not interrupt.is_pending
+            for _ in range(3):
+                signal.raise_signal(signal.SIGINT)
+            assert interrupt.is_pending
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    def test_is_as_it_was_after_an_error_and_stays_ignored_where_it_is(self) -> None:
+        with pytest.raises(ZeroDivisionError), interrupts_wait():
+            raise ZeroDivisionError
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        with interrupts_wait() as interrupt:
+            signal.raise_signal(signal.SIGINT)
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+        assert not interrupt.is_pending
+
+
+class TestCommand:
+    @pytest.fixture(autouse=True)
+    def here(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.chdir(tmp_path)
+
+    @staticmethod
+    def task(folder: Path | None = None, code: int = 0) -> Task:
+        def draw(path: Path, _: object) -> list[Path]:
+            signal.raise_signal(signal.SIGINT)
+            path.write_text("whole")
+            return [path]
+
+        return Task("wall", lambda: Answer("found", {"status": "done"}, code, {
+            "numbers": lambda path: path.write_text("1")}, {"first": draw, "second": draw}), folder)
+
+    def test_an_interrupt_while_it_drew_lost_the_numbers(self) -> None:
+        pytest.importorskip("matplotlib")
+        answer = command_of(lambda _: self.task(), "test")(Namespace(out=None, plot=True, format=None))
+        assert answer.code == 130
+        assert answer.text.splitlines()[1:] == [
+            "interrupted before it was drawn: second", "written to runs/wall-test-1", "plot: runs/wall-test-1/first"]
+        assert {path.name for path in Path("runs/wall-test-1").iterdir()} == {"numbers", "summary.json", "first"}
+        assert json.loads(Path("runs/wall-test-1/summary.json").read_text()) == {
+            "status": "interrupted", "notes": ["interrupted before it was drawn: second"]}
+
+    def test_without_a_request_for_a_folder_there_is_none(self) -> None:
+        answer = command_of(lambda _: self.task(), "test", always=False)(Namespace(out=None))
+        assert (answer.text, answer.code, [*Path().iterdir()]) == ("found", 0, [])
+
+    def test_a_folder_that_can_be_gone_on_with_gets_no_summary_before_the_end(self) -> None:
+        for code, names in ((130, set()), (0, {"numbers", "summary.json"})):
+            Path("mine").mkdir(exist_ok=True)
+            answer = command_of(lambda _, code=code: self.task(Path("mine"), code), "test")(  # type: ignore[misc]
+                Namespace(out="mine"))
+            assert (answer.code, {path.name for path in Path("mine").iterdir()}) == (code, names)

@@ -5,17 +5,18 @@ from __future__ import annotations
 import errno
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
 
-import teleop.simulation.virtual
+import teleop.simulation.result
 import teleop.terminal.plotting
+import teleop.terminal.run
 from scenarios.__main__ import main as console_entry
 from teleop import load_result, load_scene, run
 from teleop.__main__ import main
@@ -23,49 +24,43 @@ from teleop.live.demo import EndOptions
 from teleop.scene.library import ROOT
 from teleop.storage.folder import claim
 from teleop.terminal.commands import COMMANDS, parser
+from tests.fakes import raising
 
 SHORT = ("--set", "duration=0.2")
-
-
 Typed = Callable[..., Any]
 
 
 class TestARun:
-    def test_writes_a_numbered_folder_and_says_where(self, typed: Typed, tmp_path: Path) -> None:
-        for number in (1, 2):
-            answer = typed("run", "canonical", *SHORT)
-            assert answer.code == 0
-            assert answer.err == ""
-            assert answer.out.endswith(f"written to runs/canonical-{number}\n")
-            left = (tmp_path / "runs" / f"canonical-{number}").iterdir()
-            assert sorted(path.name for path in left) == ["summary.json", "trace.npz"]
+    def test_writes_a_numbered_folder_with_what_was_typed_and_says_where(self, typed: Typed, tmp_path: Path) -> None:
+        answer = typed("run", "canonical", *SHORT)
+        assert (answer.code, answer.err) == (0, "")
+        assert answer.out.endswith("written to runs/canonical-1\n")
+        assert "plot" not in answer.out
+        folder = tmp_path / "runs" / "canonical-1"
+        assert sorted(path.name for path in folder.iterdir()) == ["summary.json", "trace.npz"]
+        summary = json.loads((folder / "summary.json").read_text())
+        assert summary["command"] == ["teleop", "run", "canonical", *SHORT]
+        assert typed("report", str(folder)).out.startswith(answer.out.rpartition("written")[0])
 
-    def test_keeps_what_was_typed(self, typed: Typed) -> None:
-        typed("run", "canonical", *SHORT, "--out", "here")
-        summary = json.loads(Path("here/summary.json").read_text())
-        assert summary["command"] == ["teleop", "run", "canonical", *SHORT, "--out", "here"]
+    def test_with_json_is_one_object_and_a_format_draws_without_being_asked_twice(self, typed: Typed) -> None:
+        pytest.importorskip("matplotlib")
+        answer = typed("run", "canonical", *SHORT, "--format", " SVG", "--json")
+        document = json.loads(answer.out)
+        assert answer.err == ""
+        assert document.pop("path") == "runs/canonical-1"
+        assert document.pop("plots") == ["runs/canonical-1/plot.svg"]
+        assert document == json.loads(Path("runs/canonical-1/summary.json").read_text())
+        assert {path.name for path in Path("runs/canonical-1").iterdir()} == {"summary.json", "trace.npz", "plot.svg"}
 
-    def test_is_the_run_that_python_makes(self, typed: Typed) -> None:
-        typed("run", "jittery_wan", *SHORT, "--seed", "5", "--out", "here")
-        ours = run(load_scene("jittery_wan", duration=0.2), seed=5)
-        stored = load_result("here")
+    def test_is_the_run_that_python_makes_and_with_the_same_seed_leaves_the_same_bytes(self, typed: Typed) -> None:
+        for out, seed in (("a", "5"), ("b", "5"), ("c", "2")):
+            typed("run", "jittery_wan", *SHORT, "--seed", seed, "--out", out)
+        a, b, c = (Path(out, "trace.npz").read_bytes() for out in "abc")
+        assert a == b != c
+        ours, stored = run(load_scene("jittery_wan", duration=0.2), seed=5), load_result("a")
         assert stored.trace.keys() == ours.trace.keys()
         for name, column in ours.trace.items():
             np.testing.assert_array_equal(stored.trace[name], column)
-
-    def test_with_json_is_one_object_and_nothing_else(self, typed: Typed) -> None:
-        answer = typed("run", "canonical", *SHORT, "--json")
-        told = json.loads(answer.out)
-        assert answer.err == ""
-        assert told.pop("path") == "runs/canonical-1"
-        assert told == json.loads(Path("runs/canonical-1/summary.json").read_text())
-
-    def test_with_the_same_seed_leaves_the_same_bytes(self, typed: Typed) -> None:
-        for out, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-            typed("run", "jittery_wan", *SHORT, "--seed", seed, "--out", out)
-        a, b, c = (Path(out, "trace.npz").read_bytes() for out in "abc")
-        assert a == b
-        assert a != c
 
     def test_that_diverges_is_done_all_the_same_and_says_so(self, typed: Typed) -> None:
         answer = typed("run", "canonical", "--set", "law=direct", "--set", "law.K=1e6", "--out", "here")
@@ -83,24 +78,7 @@ class TestARun:
         stored = load_result("link")
         assert stored.metrics["T_fwd_max"] == pytest.approx(0.02)
         assert stored.metrics["T_bwd_max"] == pytest.approx(0.03)
-
-    def test_without_a_link_counts_no_packets(self, typed: Typed) -> None:
         assert "packets" not in typed("run", "canonical", *SHORT, "--link", "none").out
-
-    def test_draws_only_if_it_is_asked_to_and_names_the_file(self, typed: Typed) -> None:
-        pytest.importorskip("matplotlib")
-        assert "plot" not in typed("run", "canonical", *SHORT, "--out", "plain").out
-        assert {path.name for path in Path("plain").iterdir()} == {"summary.json", "trace.npz"}
-        assert typed("run", "canonical", *SHORT, "--plot", "--out", "here").out.endswith(
-            "written to here\nplot: here/plot.png\n")
-        assert Path("here/plot.png").read_bytes().startswith(b"\x89PNG")
-
-    def test_in_another_format_is_drawn_without_being_asked_twice(self, typed: Typed) -> None:
-        pytest.importorskip("matplotlib")
-        told = json.loads(typed("run", "canonical", *SHORT, "--format", "pdf, SVG", "--out", "here", "--json").out)
-        assert told["plots"] == ["here/plot.pdf", "here/plot.svg"]
-        assert Path("here/plot.pdf").read_bytes().startswith(b"%PDF")
-        assert {path.name for path in Path("here").iterdir()} == {"summary.json", "trace.npz", "plot.pdf", "plot.svg"}
 
 
 def test_one_tick_one_row_and_one_knob_are_told_in_the_singular(typed: Typed) -> None:
@@ -110,69 +88,41 @@ def test_one_tick_one_row_and_one_knob_are_told_in_the_singular(typed: Typed) ->
         assert words in swept.out
 
 
-class TestShow:
-    def test_prints_the_loop_of_a_scene_as_python_that_compiles(self, typed: Typed) -> None:
-        out = typed("show", "tick", "hard_wall").out
-        compile(out, "shown", "exec")
-        assert out.startswith("def loop(numbers, law, dt, count")
-        assert "f_cmd_m0 = cap(c_cap_m[0], f_cmd_m0, f_held_m)" in out
-
-    def test_or_one_live_end_with_a_knob_turned(self, typed: Typed) -> None:
-        out = typed("show", "tick", "hard_wall", "--set", "law=pfra", "--end", "m").out
-        assert out.startswith("def live(numbers, law, dt")
-        assert "observe(" in out
-
-    def test_refuses_a_live_end_of_a_scene_that_has_none(self, typed: Typed) -> None:
-        answer = typed("show", "tick", "virtual_wall", "--end", "m")
-        assert answer.code == 2
-        assert "has no slave, so it has no live ends" in answer.err
+def test_show_prints_the_loop_of_a_scene_or_a_live_end_as_python_that_compiles(typed: Typed) -> None:
+    out = typed("show", "tick", "hard_wall").out
+    compile(out, "shown", "exec")
+    assert out.startswith("def loop(numbers, law, dt, count")
+    assert "f_cmd_m0 = cap(c_cap_m[0], f_cmd_m0, f_held_m)" in out
+    out = typed("show", "tick", "hard_wall", "--set", "law=pfra", "--end", "m").out
+    assert out.startswith("def live(numbers, law, dt")
+    assert "observe(" in out
 
 
-class TestReport:
-    def test_shows_the_table_of_the_run_again(self, typed: Typed) -> None:
-        first = typed("run", "jittery_wan", *SHORT, "--out", "here").out
-        assert typed("report", "here") == (0, f"{first}page: here/report.html\n", "")
+def test_a_report_draws_only_if_it_is_asked_to_and_can_write_and_names_the_file(
+        typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    first = typed("run", "local", *SHORT, "--out", "here").out
 
-    def test_draws_only_if_it_is_asked_to_and_names_the_file(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        pytest.importorskip("matplotlib")
-        first = typed("run", "canonical", *SHORT, "--out", "here").out
-        with monkeypatch.context() as without:
-            without.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
-            typed("report", "here", "--plot").assert_refused("pip install")
-            assert typed("report", "here").out == f"{first}page: here/report.html\n"
-        assert not Path("here/plot.png").exists()
-        assert typed("report", "here", "--plot").out == first + "plot: here/plot.png\npage: here/report-2.html\n"
-        assert json.loads(typed("report", "here", "--json", "--plot").out)["plots"] == ["here/plot.png"]
-        assert {path.name for path in Path("here").iterdir()} == {
-            "summary.json", "trace.npz", "plot.png", "report.html", "report-2.html"}
+    def forbidden(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
 
-    def test_of_a_folder_that_may_only_be_read_is_given_without_a_figure(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        pytest.importorskip("matplotlib")
-        first = typed("run", "canonical", *SHORT, "--out", "here").out
-
-        def forbidden(*_: object, **__: object) -> None:
-            raise PermissionError(errno.EACCES, "Permission denied")
-
-        monkeypatch.setattr(teleop.terminal.plotting, "replacing", forbidden)
+    with monkeypatch.context() as without:
+        without.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
+        typed("report", "here", "--plot").assert_refused("pip install")
+    with monkeypatch.context() as without:
+        without.setattr(teleop.terminal.plotting, "replacing", forbidden)
         answer = typed("report", "here", "--plot")
         assert answer.code == 0
         assert answer.out.startswith(first)
         assert "no plot" in answer.out
-
-    def test_with_json_gives_the_stored_summary(self, typed: Typed) -> None:
-        typed("run", "canonical", *SHORT, "--out", "here")
-        stored = json.loads(Path("here/summary.json").read_text())
-        assert json.loads(typed("report", "here", "--json").out) == stored | {"path": "here"}
+    Path("here/report.html").write_text("another")
+    assert not Path("here/plot.png").exists()
+    assert typed("report", "here", "--plot").out == first + "plot: here/plot.png\npage: here/report-2.html\n"
+    assert Path("here/plot.png").read_bytes().startswith(b"\x89PNG")
 
 
 class TestDemo:
-    def test_hands_on_what_was_typed_and_shows_the_result(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_hands_on_what_was_typed_and_shows_the_result(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         asked: list[Any] = []
 
         def demo(scene_name: str, knobs: dict[str, str], ends: EndOptions, **rest: Any) -> Any:
@@ -188,8 +138,7 @@ class TestDemo:
         assert answer.out.endswith("written to runs/hard_wall-1\n")
         command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep", "--robot",
                    "csv:a.csv"]
-        rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "command": command,
-                "realtime": True}
+        rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "command": command, "realtime": True}
         assert not Path("runs/hard_wall-1/plot.png").exists()
         ends = EndOptions(lockstep=True, robot="csv:a.csv")
         assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, ends, rest)]
@@ -231,19 +180,61 @@ class TestHelp:
             assert ended.value.code == 0
             assert f"usage: teleop {command}" in capsys.readouterr().out
 
-    def test_is_reached_through_the_console_entry_point(
-        self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_is_reached_through_the_console_entry_point(self, capsys: pytest.CaptureFixture[str],
+            monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(sys, "argv", ["teleop", "list", "wave"])
         assert console_entry() == 0
         assert "law wave" in capsys.readouterr().out
 
 
+class TestAWrongRequest:
+    """What stands in the way is found before anything is computed, and leaves nothing behind."""
+
+    @pytest.fixture(autouse=True)
+    def nothing_left(self, tmp_path: Path) -> Iterator[None]:
+        (tmp_path / "taken").mkdir()
+        yield
+        assert [path.name for path in tmp_path.rglob("*")] == ["taken"]
+
+    def test_finds_the_folder_taken_or_forbidden_before_it_runs(
+            self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(teleop.terminal.run, "run", raising(AssertionError("it was computed")))
+        typed("run", "canonical", "--out", "taken").assert_refused("there already")
+        monkeypatch.setattr(Path, "mkdir", raising(PermissionError(errno.EACCES, "Permission denied")))
+        typed("run", "canonical", "--out", "new/run").assert_refused("Permission denied", "--out")
+
+    def test_on_a_full_disk_leaves_nothing(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        def full(file: BinaryIO, _: object) -> None:
+            file.write(b"half of it")
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr(teleop.simulation.result, "write_arrays", full)
+        answer = typed("run", "canonical", *SHORT, "--out", "new/folders/run")
+        answer.assert_refused("No space left", "nothing was left", "--out")
+
+    def test_interrupted_leaves_nothing(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(teleop.terminal.run, "run", raising(KeyboardInterrupt()))
+        answer = typed("run", "canonical")
+        assert (answer.code, answer.out, answer.err.count("\n")) == (130, "", 1)
+        assert "interrupted" in answer.err
+
+    def test_without_matplotlib_a_plot_is_refused_before_it_runs(
+            self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
+        for words in (["run", "canonical"], ["demo"], ["sweep", "soft_tissue", "--grid", "k_e=1,2"],
+                      ["precision", "hard_wall"], ["stability", "virtual_wall"], ["passivity", "virtual_wall"],
+                      ["zwidth", "virtual_wall"], ["report", "taken"]):
+            for option in (["--plot"], ["--format", "pdf,svg"]):
+                typed(*words, *option).assert_refused("pip install 'bilateral-teleop[plot]'")
+
+    def test_that_is_a_bug_keeps_its_traceback(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(teleop.terminal.run, "run", raising(KeyError("a bug")))
+        with pytest.raises(KeyError):
+            typed("run", "canonical")
+
+
 class TestAProcess:
-    def test_prints_plain_text_and_ends_with_the_code(self, process: Any, ended: Any) -> None:
-        answer = ended(process("-m", "scenarios", "run", "local", *SHORT))
-        assert (answer.code, answer.err) == (0, "")
-        assert not {"\x1b", "\r", "\b"} & set(answer.out)
+    def test_ends_with_the_code_of_its_answer(self, process: Any, ended: Any) -> None:
         ended(process("-m", "scenarios", "run", "nothing")).assert_refused("nothing")
 
     def test_whose_reader_has_seen_enough_ends_quietly(self, process: Any) -> None:
@@ -257,9 +248,8 @@ class TestAProcess:
         with open("/dev/full", "w") as full:
             ended(process("-m", "scenarios", "list", stdout=full)).assert_refused("No space left")
 
-    def test_finds_its_own_house_whatever_lies_in_the_current_folder(
-        self, process: Any, ended: Any, tmp_path: Path
-    ) -> None:
+    def test_finds_its_own_house_whatever_lies_in_the_current_folder(self, process: Any, ended: Any,
+            tmp_path: Path) -> None:
         """With `-c` the current folder comes first of all on the path, the hardest case there is."""
         trap = "raise SystemExit('shadowed')\n"
         for name in ("scenarios", "channel"):
@@ -270,7 +260,8 @@ class TestAProcess:
         (tmp_path / "scenarios" / "canonical.py").write_text(trap)
         (tmp_path / "own.py").write_text((ROOT / "scenarios" / "canonical.py").read_text())
         code = "from teleop.__main__ import main; raise SystemExit(main())"
-        for scene in ("canonical", "own.py", "./own.py"):
+        for scene in ("canonical", "./own.py"):
             answer = ended(process("-c", code, "run", scene, *SHORT, "--json"))
             assert (answer.code, answer.err) == (0, "")
+            assert not {"\x1b", "\r", "\b"} & set(answer.out)
             assert json.loads(answer.out)["status"] == "ok"

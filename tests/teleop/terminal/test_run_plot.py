@@ -1,4 +1,4 @@
-"""The figure of a run: which panels and curves it has, and that it is written whole or not at all."""
+"""The figure of a run: its panels and curves, the extremes in each column of pixels, and a file that is whole."""
 
 from __future__ import annotations
 
@@ -9,12 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 import teleop.terminal.plotting
 import teleop.terminal.run_plot
 from scenarios.leader_follower import JOINTS
 from teleop import Refused, Result, load_scene, run
-from teleop.terminal.run_plot import binned, draw
+from teleop.simulation.trace import BLOCK
+from teleop.terminal.run_plot import GREATEST, binned, draw, extremes
 from tests.teleop.scene.unlike import unlike
 
 figures = pytest.importorskip("matplotlib.figure")
@@ -81,33 +85,24 @@ def labels(axes: Any) -> list[str]:
 
 
 class TestWhatIsDrawn:
-    def test_positions_forces_and_energies_share_the_time_axis(self, drawn: Any, wave: Result) -> None:
-        panels = drawn(wave).axes
+    def test_lines_are_the_trace_in_the_unit_of_the_label_on_one_time_axis_and_none_hides_another(
+            self, drawn: Any, wave: Result) -> None:
+        figure = drawn(wave)
+        for word in ("canonical", "law wave", "ok: ran to its end"):
+            assert word in figure.get_suptitle()
+        panels = figure.axes
         assert [[label.split()[0] for label in labels(panel)] for panel in panels] == [
             ["$x_m$", "$x_s$"], ["$f_m$", "$f_h$"], ["$f_s$", "$f_{env}$"], ["$E_{link}$", "$E_{port}$"]]
         assert panels[-1].get_xlabel() == "time (s)"
-        for axes in panels:
-            assert axes.get_xlim() == pytest.approx((0.0, 0.3))
-
-    def test_the_title_names_scene_law_and_status(self, drawn: Any, wave: Result) -> None:
-        title = drawn(wave).get_suptitle()
-        for word in ("canonical", "law wave", "ok: ran to its end"):
-            assert word in title
-
-    def test_the_lines_are_the_trace_in_the_unit_of_the_label(self, drawn: Any, wave: Result) -> None:
         units = ("position (mm)", "master's force (N)", "slave's force (N)", "energy (mJ)")
         names = (("x_s", "x_m"), ("f_h", "f_m"), ("f_env", "f_s"), ("E_port", "E_link"))
-        for axes, unit, columns in zip(drawn(wave).axes, units, names, strict=True):
+        for axes, unit, columns in zip(panels, units, names, strict=True):
+            assert axes.get_xlim() == pytest.approx((0.0, 0.3))
             assert axes.get_ylabel() == unit
             for line, name in zip(axes.get_lines(), columns, strict=True):
                 np.testing.assert_array_equal(line.get_xdata(), wave.trace["t"])
                 np.testing.assert_allclose(line.get_ydata(), wave.trace[name] * (1e3 if "(m" in unit else 1.0))
-
-    def test_where_two_curves_coincide_both_are_seen_the_lower_one_wider_and_paler(
-        self, drawn: Any, wave: Result
-    ) -> None:
-        for axes in drawn(wave).axes:
-            under, over = axes.get_lines()
+            under, over = axes.get_lines()  # where they coincide both are seen, the lower one wider and paler
             assert under.get_zorder() <= over.get_zorder()  # drawn in this order
             assert under.get_linewidth() > 2.0 * over.get_linewidth()
             assert under.get_alpha() < 1.0
@@ -120,12 +115,8 @@ class TestWhatIsDrawn:
         box = figure._suptitle.get_window_extent()
         assert 0.0 < box.x0 < box.x1 < figure.bbox.width
 
-    def test_a_scene_without_energy_has_no_such_panel(self, drawn: Any) -> None:
+    def test_a_scene_has_a_panel_of_energy_or_of_queues_only_where_it_has_them(self, drawn: Any) -> None:
         assert len(drawn(run(load_scene("canonical", duration=0.1, energy=False))).axes) == 3
-
-    def test_waves_that_are_played_by_their_integral_have_a_panel_of_their_queues(
-        self, drawn: Any
-    ) -> None:
         panel = drawn(run(load_scene("hard_wall", link="delay(0.01) | bernoulli(0.1)", duration=0.5))).axes[3]
         assert panel.get_ylabel() == "queue of waves (ms)"
         assert {label.split(":")[0] for label in labels(panel)} == {"backward", "forward"}
@@ -137,16 +128,12 @@ class TestWhatIsDrawn:
         assert [line.get_linestyle() for line in position.get_lines()[1:]] == ["-", "--", ":"]
         assert [handle.get_linestyle() for handle in position.get_legend().get_lines()] == ["-", "--", ":", "-"]
 
-    def test_a_run_that_diverged_or_never_began_is_drawn_too(self, wave: Result, tmp_path: Path) -> None:
-        wild = wave.trace["x_m"].copy()
-        wild[-3:] = 1e300, np.inf, np.nan
-        assert draw(replace(wave, trace={**wave.trace, "x_m": wild}), tmp_path / "wild")
-        assert draw(replace(wave, trace={name: column[:0] for name, column in wave.trace.items()}), tmp_path / "none")
-
 
 class TestUnderLoss:
     def test_a_force_that_jumps_each_tick_covers_no_other_curve(self, drawn: Any, lossy: Result) -> None:
-        force = drawn(lossy).axes[1]
+        position, force, contact = drawn(lossy).axes[:3]
+        for axes, place in ((position, 1), (contact, 0)):  # which do not jump
+            assert len(axes.get_lines()[place].get_xdata()) == 3000
         assert [label.partition(":\n")[2] for label in labels(force)] == ["mean and range over 8 ms"] * 2
         for line in force.get_lines():  # no curve goes up and down within two pixels
             assert len(line.get_xdata()) == 375
@@ -161,9 +148,7 @@ class TestUnderLoss:
         np.testing.assert_array_equal(bins.greatest, ticks.max(axis=1))
         np.testing.assert_allclose(bins.t, lossy.trace["t"].reshape(-1, bins.ticks).mean(axis=1))
 
-    def test_a_curve_that_does_not_jump_is_drawn_tick_by_tick(self, drawn: Any, lossy: Result) -> None:
-        for axes, place in ((drawn(lossy).axes[0], 1), (drawn(lossy).axes[2], 0)):
-            assert len(axes.get_lines()[place].get_xdata()) == 3000
+    def test_a_curve_that_does_not_jump_is_drawn_tick_by_tick(self) -> None:
         t = np.arange(10_000) * 1e-3
         for smooth in (np.sin(t), np.sin(30.0 * t), np.maximum(np.sin(30.0 * t) - 0.5, 0.0)):  # contacts too
             assert binned(t, smooth) is None
@@ -176,20 +161,61 @@ class TestUnderLoss:
         assert (bins.mean[-1], bins.least[-1], bins.greatest[-1]) == (0.5, 0.0, 1.0)
 
 
-class TestTheFile:
-    def test_pyplot_and_its_global_state_stay_out(self, wave: Result, tmp_path: Path) -> None:
-        sys.modules.pop("matplotlib.pyplot", None)
-        draw(wave, tmp_path / "plot")
-        assert "matplotlib.pyplot" not in sys.modules
+def test_the_file_of_a_run_that_diverged_with_dollar_signs_is_drawn_without_the_state_of_pyplot(
+        wave: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are no formula, and an infinite value is no scale."""
+    sys.modules.pop("matplotlib.pyplot", None)
+    wild = wave.trace["x_m"].copy()
+    wild[-3:] = 1e300, np.inf, np.nan
+    result = replace(wave, trace={**wave.trace, "x_m": wild}, sentence=r"$\frac$ \x1b[2J $", scene="$" * 1001)
+    draw(result, tmp_path / "plot")
+    assert (tmp_path / "plot.png").stat().st_size > 1000
+    assert "matplotlib.pyplot" not in sys.modules
+    assert draw(replace(wave, trace={name: column[:0] for name, column in wave.trace.items()}), tmp_path / "none")
+    monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
+    with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[plot\]'"):
+        draw(wave, tmp_path / "other")
+    assert {path.name for path in tmp_path.iterdir()} == {"plot.png", "none.png"}
 
-    def test_without_matplotlib_the_answer_is_the_line_that_gets_it(
-        self, wave: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
-        with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[plot\]'"):
-            draw(wave, tmp_path / "plot")
-        assert not list(tmp_path.iterdir())
 
-    def test_a_sentence_with_dollar_signs_is_drawn_and_is_no_formula(self, wave: Result, tmp_path: Path) -> None:
-        draw(replace(wave, sentence=r"$\frac$ \x1b[2J $", scene="$" * 1001), tmp_path / "plot")
-        assert (tmp_path / "plot.png").stat().st_size > 1000
+VALUES = st.floats(allow_nan=True, allow_infinity=True, width=64)
+
+
+def points(t: Any, values: Any, high: float, columns: int) -> tuple[Any, Any, Any]:
+    """Where both points of a column are, and the lower and the higher one."""
+    at, heights = (each.reshape(-1, 2) for each in extremes(t, values, 0.0, high, columns))
+    assert np.array_equal(at[:, 0], at[:, 1])
+    return at[:, 0], heights.min(axis=1), heights.max(axis=1)
+
+
+@given(values=arrays(float, st.integers(1, 200), elements=VALUES), columns=st.integers(2, 10))
+def test_each_column_of_pixels_has_the_extremes_of_its_rows_and_of_few_rows_each_is_a_point(values: Any,
+        columns: int) -> None:
+    t = np.arange(len(values)) * 0.001
+    high = len(values) * 0.001
+    sound = np.where(np.abs(values) <= GREATEST, values, np.nan)
+    at, least, greatest = points(t, values, high, columns)
+    if len(values) < 2 * columns:
+        assert np.array_equal(at, t)
+        rows = [sound[i:i + 1] for i in range(len(values))]
+    else:
+        place = np.minimum((t * (columns / high)).astype(int), columns - 1)
+        rows = [sound[place == column] for column in range(columns)]
+    some = [each[np.isfinite(each)] for each in rows]
+    assert np.array_equal(least, [each.min() if len(each) else np.nan for each in some], equal_nan=True)
+    assert np.array_equal(greatest, [each.max() if len(each) else np.nan for each in some], equal_nan=True)
+
+
+def test_a_spike_of_one_tick_in_a_million_is_seen_across_the_blocks_that_are_read() -> None:
+    values = np.zeros(1_000_000)
+    values[[BLOCK - 1, BLOCK, 777_777]] = 1.0, -2.0, 3.0
+    _, least, greatest = points(np.arange(1_000_000) * 1e-3, values, 1000.0, 600)
+    assert np.flatnonzero(greatest == 3.0).tolist() == [777_777 * 600 // 1_000_000]
+    edge = BLOCK * 600 // 1_000_000
+    assert (least[edge], greatest[edge]) == (-2.0, 1.0)
+
+
+def test_ticks_that_were_left_out_for_longer_than_a_column_are_a_gap() -> None:
+    t = np.concatenate([np.arange(0, 4000), np.arange(8000, 10_000)]) * 1e-3
+    _, least, _ = points(t, np.ones(6000), 10.0, 100)
+    assert np.isnan(least).nonzero()[0].tolist() == [*range(40, 80)]

@@ -30,17 +30,10 @@ def wave() -> Result:
 
 
 class TestTable:
-    def test_says_what_ran_and_how_it_ended(self, wave: Result) -> None:
-        told = rows(wave)
+    def test_says_what_ran_how_it_ended_and_the_figures_with_units(self, wave: Result) -> None:
+        told, got = rows(wave), wave.metrics
         assert told["run"] == ["canonical, law wave(b=2, K=500, B=20), virtual time, seed 0"]
         assert told["status"] == ["ok: ran to its end, 1000 ticks of 0.001 s"]
-
-    def test_does_not_say_the_status_twice(self, wave: Result) -> None:
-        told = rows(replace(wave, status="diverged", sentence="diverged at t = 1 s"))
-        assert told["status"] == ["diverged at t = 1 s"]
-
-    def test_gives_the_figures_with_units(self, wave: Result) -> None:
-        told, got = rows(wave), wave.metrics
         assert told["tracking error"] == [f"{got['x_err_rms'] * 1e3:.1f} mm rms, {got['x_err_max'] * 1e3:.1f} mm max"]
         assert re.fullmatch(r"[\d.]+ m?N rms, [\d.]+ m?N max", told["force error"][0])
         assert got["f_m_end"] > 1.0
@@ -73,92 +66,66 @@ class TestTable:
         share = f"{100 * got['felt_share']:.3g} % of what is touched"
         assert pressed == f"a stiffness of {got['felt_stiffness']:.0f} N/m, {share}"
 
-    def test_leaves_out_what_the_scene_does_not_have(self) -> None:
+    def test_leaves_out_what_the_scene_or_the_run_does_not_have(self, wave: Result) -> None:
         told = rows(run(load_scene("canonical", duration=0.1, link=None, energy=False)))
         assert set(told) == {"run", "status", "tracking error", "force error", "force at the end"}
-
-    def test_tells_the_time_per_tick_if_it_was_taken(self, wave: Result) -> None:
-        assert "time per tick" not in rows(wave)
-        told = rows(replace(wave, run_time=0.004))
-        assert told["time per tick"] == ["4.00 us, 250 times real time"]
-
-    def test_tells_of_loss_each_way_and_of_what_was_rejected(self, wave: Result) -> None:
-        counts = {
-            "fwd": Packets(sent=9, received=7, lost=2, late=1, overtaken=3, duplicates=4),
-            "bwd": Packets(sent=9, received=9, rejected={"checksum": 2, "version": 0}),
-        }
-        told = rows(replace(wave, packets=counts))["packets"]
-        assert told == [
-            "fwd: 9 sent, 7 received, 2 lost, 1 late, 3 overtaken, 4 doubled",
-            "bwd: 9 sent, 9 received, 0 lost, 0 late, 2 rejected (checksum)",
-        ]
-
-    def test_says_if_a_delay_varied_and_if_nothing_came(self, wave: Result) -> None:
-        metrics = {**wave.metrics, "T_fwd_mean": 0.02, "T_fwd_max": 0.03}
-        del metrics["T_bwd_mean"], metrics["T_bwd_max"]
-        told = rows(replace(wave, metrics=metrics))
-        assert told["delay seen"] == ["20.0 ms (up to 30.0 ms) fwd, nothing came bwd"]
-
-    def test_says_if_a_watchdog_let_go(self, wave: Result) -> None:
-        assert "watchdog" not in rows(replace(wave, metrics={**wave.metrics, "g_m_min": 1.0, "g_s_min": 1.0}))
-        told = rows(replace(wave, metrics={**wave.metrics, "g_m_min": 0.0, "g_s_min": 1.0}))
-        assert told["watchdog"] == ["let go: smallest gain 0% at the master, 100% at the slave"]
-
-    def test_tells_of_late_ticks_if_it_was_live(self, wave: Result) -> None:
-        own: dict[str, Any] = {"skipped": 2, "late_us": {"p50": 61.0, "p99": 172.0, "p100": 2300.0}, "cpu": 0.05}
-        extra = {"master": own, "slave": {**own, "late_us": {}, "cpu": None}}
-        told = rows(replace(wave, mode="live", extra=extra, run_time=1.0))
-        assert told["late ticks"] == [
-            "master: 2 skipped, half under 61.0 us late, 99 % under 172 us late, at most 2.30 ms late",
-            "slave: 2 skipped",
-        ]
-        assert told["time per tick"] == ["50.0 us master of processor time"]
-        assert "late ticks" not in rows(replace(wave, mode="lockstep", extra=extra))
-
-    def test_calls_missing_what_may_never_have_been_sent_by_that_name_where_there_is_a_deadband(
-        self, wave: Result
-    ) -> None:
-        """It said "2557 missing" of a link that lost nothing."""
-        own = {"rtt": {"mean": 0.1}, "jitter": 1e-4, "lost": 2557, "reordered": 0}
-        live = replace(wave, mode="live", extra={"master": own})
-        assert rows(live)["link seen"] == ["master: round trip 100 ms, jitter 100 us, 2557 missing, 0 out of order"]
-        saved = {way: replace(each, saved=2600) for way, each in live.packets.items()}
-        assert rows(replace(live, packets=saved))["link seen"] == [
-            "master: round trip 100 ms, jitter 100 us, 2557 missing or not sent, 0 out of order"]
-
-    def test_tells_what_each_live_end_was_given_of_real_time_scheduling(self, wave: Result) -> None:
-        given = {"realtime": {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}, "sealed": False}
-        told = rows(replace(wave, mode="live", extra={"master": given, "slave": given}))
-        assert told["real time"] == ["both ends: scheduler SCHED_FIFO, priority 40, memory locked"]
-        told = rows(replace(wave, mode="live", extra={"master": {"sealed": True}, "slave": given}))
-        assert told["real time"][0] == "master: ordinary scheduling, real-time scheduling was not asked for"
-        assert told["real time"][1].startswith("slave: scheduler SCHED_FIFO")
-
-    @pytest.mark.parametrize("sentence", ["the process ended without a word after tick 9; this is made from its record",
-                                          "still running: this is its record up to tick 9"])
-    def test_an_end_without_a_summary_was_said_to_have_ordinary_scheduling(self, wave: Result, sentence: str) -> None:
-        given = {"realtime": {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}, "sealed": False}
-        told = rows(replace(wave, mode="live", extra={"master": {"sentence": sentence}, "slave": given}))
-        assert told["real time"] == ["slave: scheduler SCHED_FIFO, priority 40, memory locked"]
-
-    def test_calls_the_error_of_an_integration_estimated(self, wave: Result) -> None:
-        own = {"error_estimate_max": 4.94e-10, "error_estimate_sum": 1.2e-8, "substeps_max": 3,
-               "ticks_over_tolerance": 0, "tolerance": 1e-9}
-        over = {**own, "ticks_over_tolerance": 2}
-        assert rows(replace(wave, extra={"integration": {"master": own, "slave": over}}))["integration"] == [
-            "master: error estimated at 4.94e-10 m a tick (12.0 nm added up), up to 3 sub-steps",
-            "slave: error estimated at 4.94e-10 m a tick (12.0 nm added up), up to 3 sub-steps; 2 ticks above 1.00 nm",
-        ]
-
-    def test_passes_on_the_notes(self, wave: Result) -> None:
-        assert rows(replace(wave, notes=("mind this", "and that")))["note"] == ["mind this", "and that"]
-
-    def test_of_a_run_that_was_stopped_before_its_first_tick_is_short(self, wave: Result) -> None:
         told = rows(replace(wave, status="stopped", sentence="the peer left", ticks=0, metrics={}, run_time=0.1))
         assert told == {"run": told["run"], "status": ["stopped: the peer left"]}
+        for name in ("x_err_max", "f_err_max", "T_fwd_max"):  # half of a pair
+            assert table(replace(wave, metrics={key: value for key, value in wave.metrics.items() if key != name}))
 
-    def test_is_plain_ascii(self, wave: Result) -> None:
-        assert table(replace(wave, run_time=0.004)).isascii()
+    def test_has_each_line_where_there_is_something_to_tell(self, wave: Result) -> None:
+        """An end without a summary had "ordinary scheduling", and packets of a lossless link were missing."""
+        varied = {**wave.metrics, "T_fwd_mean": 0.02, "T_fwd_max": 0.03}
+        del varied["T_bwd_mean"], varied["T_bwd_max"]
+        late: dict[str, Any] = {"skipped": 2, "late_us": {"p50": 61.0, "p99": 172.0, "p100": 2300.0}, "cpu": 0.05}
+        ends = {"master": late, "slave": {**late, "late_us": {}, "cpu": None}}
+        link = {"rtt": {"mean": 0.1}, "jitter": 1e-4, "lost": 2557, "reordered": 0}
+        quick = {"realtime": {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}, "sealed": False}
+        steps = {"error_estimate_max": 4.94e-10, "error_estimate_sum": 1.2e-8, "substeps_max": 3,
+                 "ticks_over_tolerance": 0, "tolerance": 1e-9}
+        cases: tuple[tuple[dict[str, Any], dict[str, list[str] | None]], ...] = (
+            ({}, {"time per tick": None, "watchdog": None, "queue": None}),
+            ({"status": "diverged", "sentence": "diverged at t = 1 s"}, {"status": ["diverged at t = 1 s"]}),
+            ({"notes": ("mind this", "and that")}, {"note": ["mind this", "and that"]}),
+            ({"run_time": 0.004}, {"time per tick": ["4.00 us, 250 times real time"]}),
+            ({"packets": {"fwd": Packets(sent=9, received=7, lost=2, late=1, overtaken=3, duplicates=4),
+                          "bwd": Packets(sent=9, received=9, rejected={"checksum": 2, "version": 0})}},
+             {"packets": ["fwd: 9 sent, 7 received, 2 lost, 1 late, 3 overtaken, 4 doubled",
+                          "bwd: 9 sent, 9 received, 0 lost, 0 late, 2 rejected (checksum)"]}),
+            ({"metrics": varied}, {"delay seen": ["20.0 ms (up to 30.0 ms) fwd, nothing came bwd"]}),
+            ({"metrics": {**wave.metrics, "g_m_min": 0.0, "g_s_min": 1.0}},
+             {"watchdog": ["let go: smallest gain 0% at the master, 100% at the slave"]}),
+            ({"metrics": {**wave.metrics, "g_m_min": 1.0, "g_s_min": 1.0}}, {"watchdog": None}),
+            ({"mode": "live", "extra": ends, "run_time": 1.0}, {
+                "late ticks": [
+                    "master: 2 skipped, half under 61.0 us late, 99 % under 172 us late, at most 2.30 ms late",
+                    "slave: 2 skipped"],
+                "time per tick": ["50.0 us master of processor time"]}),
+            ({"mode": "lockstep", "extra": ends}, {"late ticks": None}),
+            ({"mode": "live", "extra": {"master": link}},
+             {"link seen": ["master: round trip 100 ms, jitter 100 us, 2557 missing, 0 out of order"]}),
+            ({"mode": "live", "extra": {"master": link},
+              "packets": {way: replace(each, saved=2600) for way, each in wave.packets.items()}},  # by a deadband
+             {"link seen": ["master: round trip 100 ms, jitter 100 us, 2557 missing or not sent, 0 out of order"]}),
+            ({"mode": "live", "extra": {"master": quick, "slave": quick}},
+             {"real time": ["both ends: scheduler SCHED_FIFO, priority 40, memory locked"]}),
+            ({"mode": "live", "extra": {"master": {"sealed": True}, "slave": quick}},
+             {"real time": ["master: ordinary scheduling, real-time scheduling was not asked for",
+                            "slave: scheduler SCHED_FIFO, priority 40, memory locked"]}),
+            *[({"mode": "live", "extra": {"master": {"sentence": sentence}, "slave": quick}},
+               {"real time": ["slave: scheduler SCHED_FIFO, priority 40, memory locked"]}) for sentence in (
+                   "the process ended without a word after tick 9; this is made from its record",
+                   "still running: this is its record up to tick 9")],
+            ({"extra": {"integration": {"master": steps, "slave": {**steps, "ticks_over_tolerance": 2}}}},
+             {"integration": ["master: error estimated at 4.94e-10 m a tick (12.0 nm added up), up to 3 sub-steps",
+                              "slave: error estimated at 4.94e-10 m a tick (12.0 nm added up), up to 3 sub-steps; "
+                              "2 ticks above 1.00 nm"]}),
+        )
+        for changes, lines in cases:
+            told = rows(replace(wave, **changes))
+            assert {label: told.get(label) for label in lines} == lines, changes
+            assert table(replace(wave, **changes)).isascii()
 
 
 NASTY = "\x1b]0;owned\x07\x1b[2J\r\nstatus   ok\x9b31m\u202egnp.exe\ud800\x00"
@@ -185,13 +152,6 @@ class TestText:
         assert printable("x" * 10, most=5) == "xx..."
         assert printable("a\nb\x1b", lines=True, most=2) == "a\nb\\x1b"
 
-    def test_of_a_summary_that_lacks_half_of_a_pair_of_metrics_leaves_the_pair_out(self) -> None:
-        result = run(load_scene("canonical", duration=0.2))
-        for name in ("x_err_max", "f_err_max", "T_fwd_max"):
-            assert name in result.metrics
-            less = {key: value for key, value in result.metrics.items() if key != name}
-            assert table(replace(result, metrics=less)).startswith("run")
-
 
 def test_figures_over_axes_in_m_and_in_rad_have_no_unit_and_say_so() -> None:
     told = rows(run(load_scene("pose", duration=0.5)))
@@ -208,10 +168,10 @@ def test_two_runs_with_other_gains_had_the_same_header() -> None:
     assert heads == ["hard_wall, law wave(b=20, K=1000, B=20)", "hard_wall, law wave(b=2, K=500, B=20)"]
 
 
-@pytest.mark.parametrize(("knobs", "noted"), [
-    ({"law": "pfra"}, True), ({"law": "deadband(0.1) | pfra"}, True), ({"law": "pfra", "law.alpha": "0.5"}, False),
-    ({"law": "wave"}, False), ({"law": "wave()"}, False), ({}, False),
-])
-def test_another_law_ran_with_untuned_gains_and_no_note(knobs: dict[str, str], noted: bool) -> None:
-    notes = run(load_scene("hard_wall", duration=0.01, **knobs)).notes
-    assert any("runs with its defaults, which are not tuned for scene hard_wall" in note for note in notes) == noted
+def test_another_law_ran_with_untuned_gains_and_no_note() -> None:
+    for knobs, noted in (({"law": "pfra"}, True), ({"law": "deadband(0.1) | pfra"}, True), ({}, False),
+                         ({"law": "pfra", "law.alpha": "0.5"}, False), ({"law": "wave"}, False),
+                         ({"law": "wave()"}, False)):
+        notes = run(load_scene("hard_wall", duration=0.01, **knobs)).notes
+        assert any("runs with its defaults, which are not tuned for scene hard_wall" in note
+                   for note in notes) == noted, knobs
