@@ -26,9 +26,8 @@ def places(found: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     return [(one["axis"], one["name"], one["kind"]) for one in found]
 
 
-def test_its_manifest_is_the_one_that_the_ends_compare_also_as_bytes(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_its_manifest_is_the_one_that_the_ends_compare_also_as_bytes(capsys: pytest.CaptureFixture[str],
+        tmp_path: Path) -> None:
     file = tmp_path / "manifest"
     found = said(capsys, "hard_wall", "--set", "k_e=2000", "--write", str(file))
     own = live_manifest(load_scene("hard_wall", **live_knobs("hard_wall", {"k_e": "2000"})))
@@ -49,9 +48,7 @@ def test_its_examples_are_packets_of_the_scene(capsys: pytest.CaptureFixture[str
     assert (hello.kind, hello.payload) == (Kind.HELLO, found["manifest"])
 
 
-def test_waves_have_their_integrals_behind_all_axes_and_the_time_at_the_end(
-    capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_waves_have_their_integrals_behind_all_axes_and_the_time_at_the_end(capsys: pytest.CaptureFixture[str]) -> None:
     found = said(capsys, "recorded_reach", "--set", "law=wave")
     waves = [(axis, "u", "wave") for axis in "xyz"]
     along = [(axis, name, "integral") for axis in "xyz" for name in "UE"]
@@ -78,16 +75,3 @@ def test_a_person_reads_sizes_places_and_the_bytes(capsys: pytest.CaptureFixture
     for words in ("100 bytes, exactly", "1000000 ns", "1  x  v  sample    the master's velocity, m/s",
                   "law           pp PositionPosition(K=400.0, B=4.0, rejoin=2.0)", "  4254040000"):
         assert words in out
-
-
-@pytest.mark.parametrize(("words", "why"), [
-    (["virtual_wall"], "no second end"),
-    (["hard_wall", "--write", "no/such/folder/file"], "cannot be written (No such file or directory)"),
-])
-def test_what_has_no_manifest_is_said_in_one_sentence(
-    words: list[str], why: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["manifest", *words]) == 2
-    err = capsys.readouterr().err
-    assert why in err
-    assert err.count("\n") == 1

@@ -44,7 +44,7 @@ def read(file: BytesIO) -> tuple[dict[str, list[Message]], dict[str, dict[str, A
     return messages, schemas
 
 
-@pytest.mark.parametrize("scene", ["canonical", "recorded_reach", "virtual_wall"])
+@pytest.mark.parametrize("scene", ["recorded_reach", "virtual_wall"])
 def test_every_number_of_the_trace_comes_back_to_the_bit_at_its_tick(stored: Stored, scene: str) -> None:
     trace = load_result(stored(scene)).trace
     messages, _ = read(written(stored(scene)))
@@ -61,26 +61,22 @@ def test_every_number_of_the_trace_comes_back_to_the_bit_at_its_tick(stored: Sto
     assert {*messages} == {f"/{quantity(name).topic}" for name in trace.keys() - {"t"}} | {"/log"}
 
 
-@pytest.mark.parametrize("scene", ["canonical", "recorded_reach"])
-def test_every_message_fits_the_schema_of_its_topic(stored: Stored, scene: str) -> None:
-    jsonschema = pytest.importorskip("jsonschema", reason="needs the extra `test`")
-    messages, schemas = read(written(stored(scene)))
-    for topic, told in messages.items():
-        validator = jsonschema.Draft202012Validator(schemas[topic])
-        jsonschema.Draft202012Validator.check_schema(schemas[topic])
-        for _, message in told:
-            validator.validate(message)
-        assert validator.is_valid({**told[0][1], "another": 1}) == (topic == "/log")
-
-
 def types_of(schema: dict[str, Any]) -> list[Any]:
     return [schema.get("type"), *[one for inner in schema.get("properties", {}).values() for one in types_of(inner)]]
 
 
-def test_every_field_of_a_schema_has_one_type_for_foxglove_takes_no_choice(stored: Stored) -> None:
-    _, schemas = read(written(stored("recorded_reach")))
-    for schema in schemas.values():
-        assert {*types_of(schema)} <= {"object", "number", "integer", "string"}
+def test_every_message_fits_the_schema_of_its_topic_whose_fields_have_one_type_for_foxglove_takes_no_choice(
+        stored: Stored) -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="needs the extra `test`")
+    for scene in ("canonical", "recorded_reach"):
+        messages, schemas = read(written(stored(scene)))
+        for topic, inner in messages.items():
+            assert {*types_of(schemas[topic])} <= {"object", "number", "integer", "string"}
+            validator = jsonschema.Draft202012Validator(schemas[topic])
+            jsonschema.Draft202012Validator.check_schema(schemas[topic])
+            for _, message in inner[::10]:
+                validator.validate(message)
+            assert validator.is_valid({**inner[0][1], "another": 1}) == (topic == "/log")
 
 
 def test_units_are_in_the_descriptions(stored: Stored) -> None:
@@ -106,13 +102,6 @@ def test_a_number_that_is_not_finite_is_left_out(tmp_path: Path, stored: Stored)
     assert [i for i, (_, message) in enumerate(messages["/energy"]) if "E_link" not in message] == [5]
     assert messages["/master"][3][1]["x_m"] == {"x": trace["x_m"][3]}
     assert "left out where it is not a finite number" in schemas["/master"]["properties"]["f_m"]["description"]
-
-
-def test_messages_lie_in_the_file_in_order_of_time(demo: Path) -> None:
-    file = written(demo)
-    file.seek(0)
-    times = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
-    assert times == sorted(times)
 
 
 def test_events_are_what_foxglove_calls_a_log(demo: Path) -> None:
@@ -161,9 +150,12 @@ def test_the_summary_of_the_run_is_in_the_file(stored: Stored, turned_run: Path)
         f"summary-{number:02d}.json" for number in (1, 2, 3)}
 
 
-def test_how_many_messages_a_topic_has_is_told_and_so(demo: Path) -> None:
+def test_how_many_messages_a_topic_has_is_told_and_they_lie_in_order_of_time(demo: Path) -> None:
     file = BytesIO()
-    told = write_mcap(file, read_parts(demo, trust=False), "a test")
+    counts = write_mcap(file, read_parts(demo, trust=False), "a test")
     messages, _ = read(file)
-    assert told == {topic: len(inner) for topic, inner in messages.items()}
-    assert told["/master"] == 390
+    assert counts == {topic: len(inner) for topic, inner in messages.items()}
+    assert counts["/master"] == 390
+    file.seek(0)
+    times = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
+    assert times == sorted(times)

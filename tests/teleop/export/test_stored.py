@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -109,54 +110,28 @@ def test_times_grow_from_part_to_part_wherever_a_part_begins(first: float, copy:
     assert (before.shift_ns, after.ns(first)) == (0, max(1_001_000_000, round(first * 1e9)))
 
 
-def test_no_folder(tmp_path: Path) -> None:
-    assert refused(tmp_path / "none").startswith(f"there is no folder {tmp_path / 'none'}")
-
-
-def test_a_folder_of_something_else(tmp_path: Path) -> None:
-    (tmp_path / "summary.json").write_text('{"status": "done", "mode": "zwidth"}')
-    assert "holds no complete run" in refused(tmp_path)
-
-
-def test_a_sweep(tmp_path: Path) -> None:
-    (tmp_path / "sweep.json").write_text("{}")
-    assert "holds a sweep" in refused(tmp_path)
-
-
-def test_a_run_without_its_trace(copy: Path) -> None:
+def test_a_folder_of_something_else_or_a_damaged_run_is_refused(copy: Path, tmp_path: Path) -> None:
+    data, text = (copy / "trace.npz").read_bytes(), (copy / "summary.json").read_text()
+    flipped = bytearray(data)
+    flipped[len(data) // 2] ^= 1
+    backwards = BytesIO()
+    trace = dict(load_result(copy).trace)
+    write_arrays(backwards, {**trace, "t": trace["t"][::-1].copy()})
+    for damaged, sentence in (
+            (data[: int(len(data) * 0.1)], "holds no complete run"), (data[: int(len(data) * 0.9)], "no complete run"),
+            (bytes(flipped), "holds no complete run (BadZipFile"), (backwards.getvalue(), "no times t that grow")):
+        (copy / "trace.npz").write_bytes(damaged)
+        assert sentence in refused(copy)
+    (tmp_path / "other.npz").write_bytes(data)
     (copy / "trace.npz").unlink()
     assert "trace.npz: No such file" in refused(copy)
-
-
-@pytest.mark.parametrize("share", [0.1, 0.9])
-def test_a_trace_that_was_cut_off(copy: Path, share: float) -> None:
-    data = (copy / "trace.npz").read_bytes()
-    (copy / "trace.npz").write_bytes(data[: int(len(data) * share)])
+    (copy / "trace.npz").symlink_to(tmp_path / "other.npz")
     assert "holds no complete run" in refused(copy)
-
-
-def test_a_trace_whose_bits_have_turned(copy: Path) -> None:
-    data = bytearray((copy / "trace.npz").read_bytes())
-    data[len(data) // 2] ^= 1
+    (copy / "trace.npz").unlink()
     (copy / "trace.npz").write_bytes(data)
-    assert "holds no complete run (BadZipFile" in refused(copy)
-
-
-def test_times_that_do_not_grow(copy: Path) -> None:
-    trace = dict(load_result(copy).trace)
-    trace["t"] = trace["t"][::-1].copy()
-    with (copy / "trace.npz").open("wb") as file:
-        write_arrays(file, trace)
-    assert "no times t that grow" in refused(copy)
-
-
-def test_a_summary_of_another_length(copy: Path) -> None:
-    summary = json.loads((copy / "summary.json").read_text())
-    (copy / "summary.json").write_text(json.dumps({**summary, "ticks": 5}))
+    (copy / "summary.json").write_text(json.dumps({**json.loads(text), "ticks": 5}))
     assert "the run has 5 rows" in refused(copy)
-
-
-def test_a_trace_that_is_a_link(copy: Path) -> None:
-    shutil.move(copy / "trace.npz", copy / "other.npz")
-    (copy / "trace.npz").symlink_to(copy / "other.npz")
+    (copy / "summary.json").write_text('{"status": "done", "mode": "zwidth"}')
     assert "holds no complete run" in refused(copy)
+    (copy / "sweep.json").write_text("{}")
+    assert "holds a sweep" in refused(copy)
