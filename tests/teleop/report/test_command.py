@@ -23,15 +23,15 @@ from tests.teleop.report.read_page import SVG, Page, curves, texts
 pytest.importorskip("matplotlib")
 
 Typed = Callable[..., Any]
-SHORT = ("--set", "duration=0.5")
+SHORT = ("--set", "duration=0.1")
 
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of two runs and of a sweep."""
     at = tmp_path_factory.mktemp("stored")
-    run(load_scene("canonical", duration=0.5)).save(at / "a", ["teleop", "run", "canonical"])
-    run(load_scene("canonical", duration=0.5, law="pfra")).save(at / "b")
+    run(load_scene("canonical", duration=0.1)).save(at / "a", ["teleop", "run", "canonical"])
+    run(load_scene("canonical", duration=0.1, law="pfra")).save(at / "b")
     sweep("soft_tissue", {"delay": [0.0, 0.05, 0.1], "k_e": [1e2, 1e3]}, fixed={"duration": 0.1}, engine="plain",
           out=at / "sweep")
     return at
@@ -49,21 +49,26 @@ def no_room(*_: object, **__: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-@pytest.mark.usefixtures("here")
+@pytest.fixture
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages without figures, which take a second each."""
+    monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
+
+
+@pytest.mark.usefixtures("here", "plain")
 class TestTheFile:
-    def test_lies_in_the_folder_and_the_table_is_as_ever(self, typed: Typed) -> None:
+    def test_lies_in_the_folder_the_table_is_as_ever_and_no_other_is_overwritten(self, typed: Typed) -> None:
         first = typed("run", "jittery_wan", *SHORT, "--out", "c").out
         assert typed("report", "c") == (0, f"{first}page: c/report.html\n", "")
-        assert "jittery_wan, law wave" in Page(Path("c/report.html").read_bytes()).text
-
-    def test_is_the_same_when_it_is_asked_for_again_and_no_other_is_overwritten(self, typed: Typed) -> None:
-        typed("report", "a")
-        before = Path("a/report.html").read_bytes()
-        assert typed("report", "a").out.endswith("page: a/report.html\n")
-        Path("a/report.html").write_text("my own notes")
-        assert typed("report", "a").out.endswith("page: a/report-2.html\n")
-        assert Path("a/report.html").read_text() == "my own notes"
-        assert Path("a/report-2.html").read_bytes() == before
+        before = Path("c/report.html").read_bytes()
+        assert "jittery_wan, law wave" in Page(before).text
+        assert typed("report", "c").out.endswith("page: c/report.html\n")
+        Path("c/report.html").unlink()
+        Path("precious").write_text("my own notes")
+        Path("c/report.html").symlink_to(Path("precious").resolve())  # it is not written through
+        assert typed("report", "c").out.endswith("page: c/report-2.html\n")
+        assert Path("precious").read_text() == "my own notes"
+        assert Path("c/report-2.html").read_bytes() == before
 
     def test_of_several_lies_here_or_where_it_is_named(self, typed: Typed) -> None:
         assert typed("report", "a", "b").out.endswith("page: report.html\n")
@@ -71,15 +76,8 @@ class TestTheFile:
         assert Path("report.html").read_bytes() == Path("both.html").read_bytes()
         assert not Path("a/report.html").exists()
 
-    def test_that_a_link_stands_for_is_not_written_through_it(self, typed: Typed) -> None:
-        Path("precious").write_text("precious")
-        Path("a/report.html").symlink_to(Path("precious").resolve())
-        assert typed("report", "a").out.endswith("page: a/report-2.html\n")
-        assert Path("precious").read_text() == "precious"
-
-    def test_that_cannot_be_written_is_said_after_the_table_and_nothing_half_written_is_left(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_that_cannot_be_written_is_said_after_the_table_and_nothing_half_written_is_left(self, typed: Typed,
+            monkeypatch: pytest.MonkeyPatch) -> None:
         before = {*Path("a").iterdir()}
         monkeypatch.setattr(teleop.report.command, "replacing", no_room)
         answer = typed("report", "a")
@@ -88,8 +86,6 @@ class TestTheFile:
         assert answer.out.endswith("no page: could not write a/report.html (No space left on device); name another "
                                    "file, --html FILE\n")
         assert {*Path("a").iterdir()} == before
-
-    def test_that_was_asked_for_by_name_and_cannot_be_written_is_a_refusal(self, typed: Typed) -> None:
         typed("report", "a", "--html", "nowhere/page.html").assert_refused("could not write nowhere/page.html")
 
     def test_is_not_written_with_json_alone(self, typed: Typed) -> None:
@@ -109,25 +105,19 @@ class TestTheFile:
         typed("report", "a", "--open").assert_refused("open a/report.html yourself")
 
 
-@pytest.mark.usefixtures("here")
+@pytest.mark.usefixtures("here", "plain")
 class TestFolders:
-    def test_of_another_kind_or_none_are_refused_before_anything_is_written(self, typed: Typed) -> None:
+    def test_of_another_kind_or_half_written_are_refused_before_anything_is_written(self, typed: Typed) -> None:
         Path("empty").mkdir()
-        typed("report", "nowhere").assert_refused("there is no folder nowhere")
-        typed("report", "empty").assert_refused("empty holds no run and no sweep")
         typed("report", "a", "empty").assert_refused("empty holds no run and no sweep")
-        assert not [*Path().rglob("*.html")]
-
-    def test_that_are_half_written_are_refused(self, typed: Typed) -> None:
         Path("a/summary.json").unlink()
         typed("report", "a").assert_refused("a holds no complete run")
         Path("b/trace.npz").write_bytes(Path("b/trace.npz").read_bytes()[:2000])
         typed("report", "b").assert_refused("b holds no complete run")
         assert not [*Path().rglob("*.html")]
 
-    def test_of_an_older_version_say_what_they_lack_and_with_all_of_it_are_shown_with_their_version(
-        self, typed: Typed
-    ) -> None:
+    def test_of_an_older_version_say_what_they_lack_and_with_all_of_it_are_shown_with_their_version(self,
+            typed: Typed) -> None:
         summary = json.loads(Path("a/summary.json").read_text())
         Path("a/summary.json").write_text(json.dumps({**summary, "versions": {"bilateral-teleop": "0.0.3"}}))
         typed("report", "a")
@@ -136,39 +126,25 @@ class TestFolders:
         Path("a/summary.json").write_text(json.dumps(summary))
         typed("report", "a").assert_refused("summary.json has no notes")
 
-    def test_of_several_kinds_have_a_section_each(self, typed: Typed) -> None:
-        typed("report", "a", "sweep", "b")
+    def test_of_several_kinds_have_a_section_each_without_matplotlib_too_but_what_is_asked_for(
+            self, typed: Typed) -> None:
+        assert typed("report", "a", "sweep", "b").code == 0
         shown = Page(Path("report.html").read_bytes())
         assert [tag for tag, _ in shown.elements].count("section") == 2
         assert shown.texts[:2] == ["2 reports", "2 reports"]
-        assert "canonical: 2 runs" in shown.texts
-        assert "soft_tissue: sweep of delay, k_e" in shown.texts
+        assert {"canonical: 2 runs", "soft_tissue: sweep of delay, k_e", "tracking error, rms", "Rows", "Knobs",
+                "2 values: 100, 1000"} <= {*shown.texts}
+        assert shown.figures == []
+        assert [text for text in shown.texts if "matplotlib" in text] == [
+            "Figures need matplotlib, which is not installed; type pip install 'bilateral-teleop[plot]', and ask for "
+            "the report again."]
         shown.assert_needs_nothing_else()
-
-    def test_beyond_what_a_page_can_show_are_refused(self, typed: Typed) -> None:
-        typed("report", *["a"] * 25).assert_refused("give at most 24")
-
-    def test_that_are_no_ends_have_no_new_folder(self, typed: Typed) -> None:
-        typed("report", "a", "--out", "new").assert_refused("--out names the new folder", "--html FILE")
-
-
-@pytest.mark.usefixtures("here")
-def test_without_matplotlib_tables_are_there_and_one_sentence_and_what_is_asked_for_is_refused(
-    typed: Typed, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
-    assert typed("report", "a", "sweep", "b").code == 0
-    shown = Page(Path("report.html").read_bytes())
-    assert shown.figures == []
-    assert {"tracking error, rms", "2 values: 100, 1000", "Rows", "Knobs"} <= {*shown.texts}
-    assert [text for text in shown.texts if "matplotlib" in text] == [
-        "Figures need matplotlib, which is not installed; type pip install 'bilateral-teleop[plot]', and ask for the "
-        "report again."]
-    typed("report", "sweep", "--metric", "x_err_rms").assert_refused("bilateral-teleop[plot]")
+        typed("report", "sweep", "--metric", "x_err_rms").assert_refused("bilateral-teleop[plot]")
 
 
 @pytest.mark.usefixtures("here")
 class TestASweep:
+    @pytest.mark.usefixtures("plain")
     def test_that_grows_has_its_table_and_a_sentence_in_place_of_a_page(self, typed: Typed) -> None:
         definition = json.loads(Path("sweep/sweep.json").read_text())
         with Store.open("sweep", definition):

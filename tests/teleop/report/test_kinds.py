@@ -46,32 +46,22 @@ def of(folder: str) -> Page:
     return shown
 
 
-class TestAComparison:
-    @pytest.fixture
-    def small(self, typed: Typed) -> Path:
-        Path("small.toml").write_text(SMALL)
-        typed("compare", "small.toml", "--laws", "wave,direct", "--workers", "1")
-        return Path("runs/small")
-
-    def test_has_the_table_of_compare_and_a_map_of_how_cases_ended(self, typed: Typed, small: Path) -> None:
-        again = typed("compare", "small.toml", "--laws", "wave,direct", "--workers", "1").out
-        told = typed("report", str(small)).out
-        assert again.split("\n\n")[1] == told.split("\n\n")[1]  # the table
-        shown = of("runs/small")
-        assert titles(shown)[0] == "How the cases ended"
-        assert "200 ms" in {*texts(shown.figures[0])}
-        assert {"wave", "direct", "tracking error"} <= {*shown.texts}
-
-    @pytest.mark.parametrize("option", [("--plot",), ("--rows", "3"), ("--metric", "x_err_rms")])
-    def test_has_no_picture_of_a_sweep(self, typed: Typed, small: Path, option: tuple[str, ...]) -> None:
-        typed("report", str(small), *option).assert_refused("holds a comparison", option[0], "teleop compare")
-
-    def test_of_rows_that_are_none_of_it_is_refused(self, typed: Typed, small: Path) -> None:
-        rows = [json.loads(line) for line in (small / "rows.jsonl").read_text().splitlines()]
-        for wrong in ({"ended": "nowhere"}, {"law": 3}, {"x_err_rms": "much"}):
-            changed = [{**rows[0], **wrong}, *rows[1:]]
-            (small / "rows.jsonl").write_text("".join(json.dumps(row) + "\n" for row in changed))
-            typed("report", str(small)).assert_refused("another version", "teleop compare")
+def test_of_a_comparison_has_its_table_and_a_map_of_how_cases_ended_and_nothing_of_a_sweep(typed: Typed) -> None:
+    Path("small.toml").write_text(SMALL)
+    compared = typed("compare", "small.toml", "--laws", "wave,direct", "--workers", "1").out
+    assert compared.split("\n\n")[1] == typed("report", "runs/small").out.split("\n\n")[1]  # the table
+    shown = of("runs/small")
+    assert titles(shown)[0] == "How the cases ended"
+    assert "200 ms" in {*texts(shown.figures[0])}
+    assert {"wave", "direct", "tracking error"} <= {*shown.texts}
+    for option in (("--plot",), ("--rows", "3"), ("--metric", "x_err_rms")):
+        typed("report", "runs/small", *option).assert_refused("holds a comparison", option[0], "teleop compare")
+    file = Path("runs/small/rows.jsonl")
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    for wrong in ({"ended": "nowhere"}, {"law": 3}, {"x_err_rms": "much"}):  # rows that are none of it
+        changed = [{**rows[0], **wrong}, *rows[1:]]
+        file.write_text("".join(json.dumps(row) + "\n" for row in changed))
+        typed("report", "runs/small").assert_refused("another version", "teleop compare")
 
 
 class TestASweepOfOtherAxes:
@@ -103,24 +93,21 @@ class TestAStudy:
         assert {"exact", "rk4/1", "semi_implicit_euler/4"} <= {*shown.texts}
 
     def test_of_tune_has_its_front(self, typed: Typed) -> None:
-        typed("tune", "wave", "--scene", "hard_wall", "--budget", "12", "--out", "t")
+        typed("tune", "wave", "--scene", "hard_wall", "--set", "duration=2.5", "--budget", "8", "--workers", "1",
+              "--out", "t")
         typed("report", "t")
         shown = of("t")
         assert titles(shown) == ["The front of tracking error against drag"]
         assert "best.law.b" in shown.texts
 
-    def test_of_an_analysis_has_its_figures_with_their_units(self, typed: Typed) -> None:
-        typed("stability", "soft_tissue", "--out", "s")
-        said = typed("report", "s").out
-        summary = json.loads(Path("s/summary.json").read_text())
-        assert "dominant.frequency" in said
-        assert f"{summary['dominant']['frequency']:.6g} Hz" in of("s").texts
-
-    def test_of_a_loop_without_a_clock_had_its_round_trip_in_ticks(self, typed: Typed) -> None:
+    def test_of_an_analysis_has_its_figures_with_their_units_and_no_rows_of_a_sweep(self, typed: Typed) -> None:
+        """The round trip of a loop without a clock stood there in ticks."""
         typed("stability", "soft_tissue", "--set", "law=direct", "--continuous", "--out", "s")
-        typed("report", "s")
-        value = json.loads(Path("s/summary.json").read_text())["continuous"]["round_trip"]
-        assert f"{value:.6g} s" in of("s").texts
+        assert "dominant.frequency" in typed("report", "s").out
+        summary = json.loads(Path("s/summary.json").read_text())
+        assert {f"{summary['dominant']['frequency']:.6g} Hz", f"{summary['continuous']['round_trip']:.6g} s"} <= {
+            *of("s").texts}
+        typed("report", "s", "--rows", "3").assert_refused("what teleop stability found", "leave it out")
 
     def test_of_numbers_that_are_none_has_no_figure_and_says_so(self, typed: Typed) -> None:
         Path("t").mkdir()
@@ -139,54 +126,32 @@ class TestAStudy:
         Path("t/summary.json").write_text(json.dumps({"mode": "another"}))
         typed("report", "t").assert_refused("holds no run and no sweep")
 
-    def test_has_no_rows_and_no_plot_of_a_sweep(self, typed: Typed) -> None:
-        typed("stability", "soft_tissue", "--out", "s")
-        typed("report", "s", "--rows", "3").assert_refused("what teleop stability found", "leave it out")
 
-
-class TestAPage:
+def test_of_a_page_has_its_parts_in_order_but_those_that_cannot_be_read(typed: Typed) -> None:
     """A folder of `teleop demo --page`: a part for each turn."""
-
-    @pytest.fixture
-    def pg(self, typed: Typed) -> Path:
-        assert typed is not None
-        parts = []
-        for i, law in enumerate(("wave", "direct", "tdpa"), 1):
-            run(load_scene("hard_wall", duration=0.5, law=law)).save(Path("pg") / f"{i:02}")
-            parts.append({"folder": f"{i:02}", "knobs": {}, "k": 500 * (i - 1), "why": "turn" if i > 1 else "start"})
-        index = {"version": 1, "scene": "hard_wall", "seed": 0, "command": ["teleop", "demo", "--page"], "parts": parts}
-        Path("pg/page.json").write_text(json.dumps(index))
-        return Path("pg")
-
-    def test_has_its_parts_in_order(self, typed: Typed, pg: Path) -> None:
-        said = typed("report", str(pg)).out
-        lines = said.splitlines()
-        assert lines[0] == "page   hard_wall, 3 parts"
-        assert [line.split()[:2] for line in lines[2:5]] == [["1", "start"], ["2", "turned"], ["3", "turned"]]
-        shown = of("pg")
-        assert "hard_wall, 3 parts on the page" in shown.texts
-        assert len(frames(shown.figure("position"))) == 3
-        assert "teleop demo --page" in shown.texts
-
-    def test_whose_part_cannot_be_read_has_the_others_and_says_why(self, typed: Typed, pg: Path) -> None:
-        (pg / "02/trace.npz").unlink()
-        said = typed("report", str(pg))
-        assert said.code == 0
-        assert "left out   pg/02 holds no complete run" in said.out
-        assert "tdpa" in said.out
-
-    @pytest.mark.parametrize(("change", "words"), [
-        ({"version": 2}, "version"), ({"parts": []}, "names no part"), ({"scene": 3}, "scene must be a text"),
-        ({"parts": [{"folder": "../elsewhere", "k": 0, "why": "start"}]}, "a part is a number"),
-    ])
-    def test_with_an_index_that_is_none_is_refused(
-        self, typed: Typed, pg: Path, change: dict[str, Any], words: str
-    ) -> None:
-        index = json.loads((pg / "page.json").read_text())
-        (pg / "page.json").write_text(json.dumps({**index, **change}))
-        typed("report", str(pg)).assert_refused("holds no page that can be read", words)
-
-    def test_whose_part_is_a_link_does_not_follow_it(self, typed: Typed, pg: Path) -> None:
-        (pg / "03").rename("elsewhere")
-        (pg / "03").symlink_to(Path("elsewhere").resolve())
-        assert "pg/03 is a link" in typed("report", str(pg)).out
+    parts, page = [], Path("pg")
+    for i, law in enumerate(("wave", "direct", "tdpa"), 1):
+        run(load_scene("hard_wall", duration=0.1, law=law)).save(page / f"{i:02}")
+        parts.append({"folder": f"{i:02}", "knobs": {}, "k": 100 * (i - 1), "why": "turn" if i > 1 else "start"})
+    index = {"version": 1, "scene": "hard_wall", "seed": 0, "command": ["teleop", "demo", "--page"], "parts": parts}
+    (page / "page.json").write_text(json.dumps(index))
+    lines = typed("report", "pg").out.splitlines()
+    assert lines[0] == "page   hard_wall, 3 parts"
+    assert [line.split()[:2] for line in lines[2:5]] == [["1", "start"], ["2", "turned"], ["3", "turned"]]
+    shown = of("pg")
+    assert "hard_wall, 3 parts on the page" in shown.texts
+    assert len(frames(shown.figure("position"))) == 3
+    assert "teleop demo --page" in shown.texts
+    (page / "02/trace.npz").unlink()
+    (page / "03").rename("elsewhere")
+    (page / "03").symlink_to(Path("elsewhere").resolve())
+    answer = typed("report", "pg")
+    assert answer.code == 0
+    assert "left out   pg/02 holds no complete run" in answer.out
+    assert "pg/03 is a link" in answer.out
+    assert "wave" in answer.out
+    for change, words in (
+            ({"version": 2}, "version"), ({"parts": []}, "names no part"), ({"scene": 3}, "scene must be a text"),
+            ({"parts": [{"folder": "../elsewhere", "k": 0, "why": "start"}]}, "a part is a number")):
+        (page / "page.json").write_text(json.dumps({**index, **change}))
+        typed("report", "pg").assert_refused("holds no page that can be read", words)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.report.markup import LONGEST, Markup, element, empty, path_data, text
@@ -12,6 +12,7 @@ from tests.teleop.report.read_page import Page
 
 
 @given(said=st.text(max_size=80))
+@settings(max_examples=50)
 def test_whatever_is_put_in_is_read_again_as_text_and_as_attribute(said: str) -> None:
     page = Page(element("p", {"title": said}, said).encode())
     assert page.elements == [("p", {"title": printable(said)})]

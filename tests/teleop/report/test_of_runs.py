@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import teleop.terminal.plotting
 from teleop import load_scene, run
 from teleop.report.of_runs import RunView, of_one, of_parts, of_several
 from teleop.report.page import page
@@ -26,6 +26,11 @@ def canonical() -> Result:
     return run(load_scene("canonical", duration=4.0))
 
 
+@pytest.fixture(scope="module")
+def joints() -> Result:
+    return run(load_scene("leader_follower", duration=0.3))
+
+
 def told(result: Result, **also: Any) -> RunView:
     return RunView("here", result, {**result.summary(["teleop", "run", "canonical"]), **also})
 
@@ -40,20 +45,21 @@ def drawn(*runs: Strip) -> list[Any]:
 
 
 class TestOne:
-    def test_has_outcome_table_figures_knobs_versions_and_command(self, canonical: Result) -> None:
-        shown = of(told(canonical))
+    def test_has_all_that_it_was_to_the_byte_and_needs_nothing_else(self, canonical: Result) -> None:
+        data = page([of_one(told(canonical))])
+        assert data == page([of_one(told(canonical))])
+        assert len(data) < 60_000
+        shown = Page(data)
         for said in ("canonical, law wave", "ran to its end, 4000 ticks of 0.001 s", "tracking error", "delay",
                      "0.05 s", "law.b", "teleop run canonical", "numpy " + np.__version__):
             assert any(said in text for text in shown.texts), said
         assert [figure.findtext(f"{SVG}title") for figure in shown.figures] == [
             "position", "master's force", "slave's force", "energy"]
-
-    def test_needs_nothing_else_and_every_figure_is_described(self, canonical: Result) -> None:
-        shown = of(told(canonical))
         shown.assert_needs_nothing_else()
         peak = 1e3 * float(canonical.trace["x_m"].max())
         assert f"x_m master from {1e3 * float(canonical.trace['x_m'].min()):.1f} mm to {peak:.1f} mm" in str(
             shown.figure("position").findtext(f"{SVG}desc"))
+        assert {*json.loads(json.dumps(canonical.summary(), default=str))["parameters"]} <= {*shown.texts}
 
     def test_every_spike_of_one_tick_of_a_long_run_is_drawn_where_it_was_and_as_high(self) -> None:
         rows = 300_000
@@ -69,13 +75,8 @@ class TestOne:
             height = low + (value + 0.7) / 1.7 * (high - low)
             assert any(abs(px - at) <= 1.5 and abs(py - height) <= 0.6 for px, py in path), tick
 
-    def test_is_the_same_to_the_byte(self, canonical: Result) -> None:
-        assert page([of_one(told(canonical))]) == page([of_one(told(canonical))])
-
-    def test_is_small_however_long_the_run_was(self, canonical: Result) -> None:
-        assert len(page([of_one(told(canonical))])) < 60_000
-        dice = np.random.default_rng(1)
-        rows = 300_000
+    def test_is_small_however_long_the_run_was(self) -> None:
+        dice, rows = np.random.default_rng(1), 100_000
         names = ("x_m", "x_s", "f_h", "f_m", "f_env", "f_s", "queue_m", "queue_s", "E_port", "E_link")
         noise = {name: dice.normal(size=rows) for name in names}
         figures = [*strips([Strip("", {"t": np.arange(rows) * 1e-3, **noise}, 1e-3, [])])]
@@ -99,14 +100,15 @@ class TestOne:
         nothing = replace(canonical, trace={name: column[:0] for name, column in canonical.trace.items()}, ticks=0)
         assert of(told(nothing)).figures == []
 
-    def test_six_joints_have_a_panel_each_on_a_scale_of_its_own(self) -> None:
-        shown = of(told(run(load_scene("leader_follower", duration=0.8))))
+    def test_six_joints_have_a_panel_each_on_a_scale_of_its_own_and_three_of_several_runs(self, joints: Result) -> None:
+        shown = of(told(joints))
         titles = [figure.findtext(f"{SVG}title") for figure in shown.figures]
         assert titles == ["position", "master's force", "slave's force", "energy"]
         words = texts(shown.figure("position"))
         assert {"base", "shoulder", "elbow", "forearm", "wrist", "flange"} < {*words}
         assert any(text.startswith("position (") and text.endswith("rad)") for text in words)
         assert [len(frames(figure)) for figure in shown.figures] == [6, 6, 6, 1]
+        assert any("3 of 6 axes are drawn, those over which" in text for text in of(told(joints), told(joints)).texts)
 
     def test_energy_is_drawn_also_where_the_first_of_many_axes_is_not(self) -> None:
         """`teleop report MASTER SLAVE` ended with KeyError: 0 where other axes had done more work than the first."""
@@ -116,13 +118,8 @@ class TestOne:
         assert len([*strips([Strip("", trace, 0.01, [])])]) == 4
         assert len([*strips([Strip("", trace, 0.01, [])] * 2)]) == 5, "and the sentence on what is left out"
 
-    def test_of_several_runs_of_many_axes_three_are_drawn_and_named(self) -> None:
-        joints = told(run(load_scene("leader_follower", duration=0.8)))
-        shown = of(joints, joints)
-        assert any("3 of 6 axes are drawn, those over which" in text for text in shown.texts)
-
     def test_three_axes_are_told_apart_by_their_lines(self) -> None:
-        shown = of(told(run(load_scene("recorded_reach", duration=1.0))))
+        shown = of(told(run(load_scene("recorded_reach", duration=0.3))))
         assert {"x_m master x", "x_m master y", "x_m master z"} <= curves(shown.figure("position")).keys()
         assert {"x", "y", "z"} <= {*texts(shown.figure("position"))}
         looks = {str(group.findtext(f"{SVG}title")): group.find(f"{SVG}path").attrib.get("stroke-dasharray")
@@ -169,40 +166,33 @@ class TestSeveral:
         assert heights[0] / spans[0] == pytest.approx(heights[1] / spans[1], rel=0.02)
         shown.assert_needs_nothing_else()
 
-    def test_of_which_one_has_no_verdict_were_only_called_ok(self, canonical: Result) -> None:
-        left_open = "0.1 m of swing are left, but that was too short a time for a verdict"
-        short = replace(canonical, seed=1, sentence=f"{canonical.sentence}; {left_open}")
-        assert any("too short a time for a verdict" in text for text in of(told(canonical), told(short)).texts)
-        assert "outcome" not in of(told(canonical), told(replace(canonical, seed=1))).texts
-
-    def test_that_differ_in_nothing_are_called_by_their_folders(self, canonical: Result) -> None:
-        first, second = told(canonical)._replace(name="a"), told(canonical)._replace(name="b")
-        assert {"1: a", "2: b"} <= {*of(first, second).texts}
-
     def test_of_a_run_without_a_queue_the_figure_in_words_said_nothing(self, canonical: Result) -> None:
         jitter = run(load_scene("canonical", duration=1.0, link="delay(0.05) | uniform(0.01)"))
         words = str(of(told(canonical), told(jitter)).figure("queue of waves").findtext(f"{SVG}desc"))
         assert ": it has none. 2: " in words
 
-    def test_of_many_each_is_a_row(self, canonical: Result) -> None:
+
+class TestTheWords:
+    @pytest.fixture(autouse=True)
+    def plain(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Pages without figures, which take a second each."""
+        monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
+
+    def test_on_runs_of_which_one_has_no_verdict_were_only_that_they_are_ok(self, canonical: Result) -> None:
+        left_open = "0.1 m of swing are left, but that was too short a time for a verdict"
+        short = replace(canonical, seed=1, sentence=f"{canonical.sentence}; {left_open}")
+        assert any("too short a time for a verdict" in text for text in of(told(canonical), told(short)).texts)
+        assert "outcome" not in of(told(canonical), told(replace(canonical, seed=1))).texts
+
+    def test_on_runs_that_differ_in_nothing_are_their_folders_and_on_many_a_row_each(self, canonical: Result) -> None:
+        first, second = told(canonical)._replace(name="a"), told(canonical)._replace(name="b")
+        assert {"1: a", "2: b"} <= {*of(first, second).texts}
         shown = of(*[told(replace(canonical, seed=seed)) for seed in range(8)])
         assert {f"{i + 1}: seed {i}" for i in range(8)} <= {*shown.texts}
 
-
-class TestThePartsOfAPage:
-    def test_are_told_in_order_with_what_began_them(self, canonical: Result) -> None:
-        other = run(load_scene("canonical", duration=2.0, law="direct"))
+    def test_on_the_parts_of_a_page_are_in_order_with_what_began_them(self, canonical: Result) -> None:
+        part = run(load_scene("canonical", duration=0.1, law="direct"))
         begun = [(0, "start"), (4000, "turned")]
-        section = of_parts("pg", [told(canonical), told(other)], begun, {"scene": "canonical"}, 6)
-        shown = Page(page([section]))
-        for said in ("canonical, 2 parts on the page", "start", "turned", "4.0 s", "wave(b=2, K=500, B=20)",
-                     "direct(K=500, B=20, kf=1)"):
-            assert said in shown.texts, said
-
-
-def test_the_knobs_of_a_folder_are_those_of_its_summary(canonical: Result, tmp_path: Path) -> None:
-    canonical.save(tmp_path / "one")
-    stored = json.loads((tmp_path / "one" / "summary.json").read_text())
-    shown = of(told(canonical))
-    for name in stored["parameters"]:
-        assert name in shown.texts
+        section = of_parts("pg", [told(canonical), told(part)], begun, {"scene": "canonical"}, 6)
+        assert {"canonical, 2 parts on the page", "start", "turned", "4.0 s", "wave(b=2, K=500, B=20)",
+                "direct(K=500, B=20, kf=1)"} <= {*Page(page([section])).texts}

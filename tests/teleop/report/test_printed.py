@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop import load_scene, run
+from teleop import Result, load_scene, run
 from teleop.report.of_runs import RunView, of_one, of_several
 from teleop.report.page import page
 from tests.programs import BROWSERS, program
@@ -27,19 +27,16 @@ def printed(html: bytes, at: Path) -> tuple[int, str]:
     return len(re.findall(rb"/Type\s*/Page\b(?!s)", (at / "page.pdf").read_bytes())), console
 
 
-@pytest.mark.parametrize("scene", ["hard_wall", "jittery_wan"])
-def test_a_run_is_printed_on_two_sheets_at_most(scene: str, tmp_path: Path) -> None:
-    result = run(load_scene(scene, duration=3.0))
-    told = RunView("here", result, result.summary(["teleop", "run", scene]))
-    sheets, console = printed(page([of_one(told)]), tmp_path)
+def told(result: Result, name: str = "here") -> RunView:
+    return RunView(name, result, result.summary(["teleop", "run", result.scene]))
+
+
+def test_a_run_is_printed_on_two_sheets_at_most_and_six_on_three(tmp_path: Path) -> None:
+    sheets, console = printed(page([of_one(told(run(load_scene("jittery_wan", duration=3.0))))]), tmp_path)
     assert 1 <= sheets <= 2
     assert console == ""
-
-
-def test_six_runs_are_printed_on_three_sheets_at_most(tmp_path: Path) -> None:
-    results = [run(load_scene("hard_wall", duration=2.0, law=law)) for law in ("wave", "direct", "pp", "p_d", "iss",
-                                                                              "tdpa")]
-    told = [RunView(f"run-{i}", result, result.summary(["teleop", "run"])) for i, result in enumerate(results)]
-    sheets, console = printed(page([of_several(told)]), tmp_path)
+    results = [run(load_scene("hard_wall", duration=1.0, law=law)) for law in (
+        "wave", "direct", "pp", "p_d", "iss", "tdpa")]
+    sheets, console = printed(page([of_several([told(each, f"run-{i}") for i, each in enumerate(results)])]), tmp_path)
     assert 1 <= sheets <= 3
     assert console == ""
