@@ -1,8 +1,11 @@
-"""Axes with units, names and parts of their own."""
+"""Axes with units, names and parts of their own, and what a run leaves of them."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,24 +21,33 @@ from teleop import (
     LowPass,
     MassDamper,
     PositionPosition,
-    Refused,
+    Result,
     Scene,
-    Wave,
     each_axis,
+    load_result,
     load_scene,
     run,
     sweep,
 )
+from teleop.export.files import schema_of, write_csv, write_metadata
+from teleop.export.stored import all_fields, read_parts
+from teleop.export.stream import GrowingEnd
+from teleop.live.records.reader import FILE, read_header
+from teleop.live.records.record import RecordWriter
+from teleop.scene.axes import AxisLabels, labels_of
 from teleop.scene.scene import on_axis
+from teleop.simulation.summary_shape import RUN
+from teleop.storage.strict_json import Misshapen
 from tests.teleop.scene import unlike as own_file
 from tests.teleop.scene.unlike import GAINS, LAWS, MASSES, unlike
 
-FILE = str(own_file.__file__)
+SCENE = str(own_file.__file__)
 COUPLED = {"tdpa"}  # laws whose energy is one for all axes
 
 
 class TestEachAxis:
-    @pytest.mark.parametrize("law", [law for law in LAWS if law not in COUPLED])
+    @pytest.mark.parametrize("law", ["wave", *[
+        pytest.param(law, marks=pytest.mark.full) for law in LAWS if law not in {"wave", *COUPLED}]])
     def test_moves_as_it_does_alone(self, law: str) -> None:
         """What does not couple the axes leaves each as the one-axis scene of it has it, to the bit."""
         scene = unlike(LAWS[law], hand=Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=0.05, frequency=1.0)))
@@ -78,60 +90,22 @@ class TestEachAxis:
     def test_takes_numbers_of_a_part_as_a_tuple_or_as_one(self) -> None:
         assert each_axis(MassDamper, 3, mass=0.5) == MassDamper(mass=0.5)
         assert [each.mass for each in each_axis(MassDamper, 3, mass=MASSES)] == [*MASSES]
-        with pytest.raises(Refused, match="mass has 3 numbers, the scene has 2 axes"):
-            each_axis(MassDamper, 2, mass=MASSES)
 
 
-class TestGains:
-    def test_of_a_law_are_typed_axis_by_axis(self, tmp_path: Any) -> None:
-        scene = load_scene("recorded_reach", law="pp", **{"law.K": "300,200,100", "law.B": "5"})
-        assert [law.K for law in scene.laws] == [*GAINS]
-        assert {law.B for law in scene.laws} == {5.0}
-
-    def test_of_the_wrong_number_are_refused(self) -> None:
-        with pytest.raises(Refused, match="law names 2 axes, the scene has 3; write one number for all axes, or one"):
-            load_scene("recorded_reach", law="pp", **{"law.K": "300,200"})
-        with pytest.raises(Refused, match=r"law.K has 2 and law.B has 3; write one number"):
-            load_scene("recorded_reach", law="pp", **{"law.K": "300,200", "law.B": "1,2,3"})
-        with pytest.raises(Refused, match=r"law.K must be a number.*'x'"):
-            load_scene("recorded_reach", law="pp", **{"law.K": "300,x,1"})
-
-    def test_are_in_the_summary_of_a_run(self) -> None:
-        scene = load_scene("recorded_reach", law="pp", duration=0.1, **{"law.K": "300,200,100"})
-        law: Any = run(scene).summary()["parameters"]["law"]
-        assert law["K"] == [*GAINS]
-        assert isinstance(law["B"], float)
+def test_gains_of_a_law_are_typed_axis_by_axis_and_are_in_the_summary_of_a_run() -> None:
+    scene = load_scene("recorded_reach", law="pp", duration=0.1, **{"law.K": "300,200,100", "law.B": "5"})
+    assert [law.K for law in scene.laws] == [*GAINS]
+    assert {law.B for law in scene.laws} == {5.0}
+    law: Any = run(scene).summary()["parameters"]["law"]
+    assert law["K"] == [*GAINS]
+    assert isinstance(law["B"], float)
 
 
-@pytest.mark.parametrize("axes", [1, 6, 16])
-def test_as_many_as_sixteen_run(axes: int) -> None:
-    scene = Scene(law=PositionPosition(K=200.0, B=5.0), axes=axes, link=Delay(0.01), duration=0.2,
-                  start_m=(0.01,) * axes, master=MassDamper(mass=0.1), slave=MassDamper(mass=0.5))
+def test_as_many_as_sixteen_run() -> None:
+    scene = Scene(law=PositionPosition(K=200.0, B=5.0), axes=16, link=Delay(0.01), duration=0.05,
+                  start_m=(0.01,) * 16, master=MassDamper(mass=0.1), slave=MassDamper(mass=0.5))
     assert run(scene).status == "ok"
-    assert len(scene.axis_names) == axes == len(set(scene.axis_names))
-
-
-REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"names": ("a", "b")}, "names has 2 entries, the scene has 3 axes"),
-    ({"names": ("a", "a", "b")}, "two axes have the name a"),
-    ({"names": ("a", "b c", "d")}, "'b c' is none"),
-    ({"names": "abc"}, "names must be a tuple of texts"),
-    ({"units": ("m", "m", "mm")}, "the unit of an axis is m or rad, not 'mm'"),
-    ({"master": (MassDamper(mass=1.0),) * 2}, "master names 2 axes, the scene has 3"),
-    ({"master": (MassDamper(mass=1.0), None, MassDamper(mass=1.0))}, "master is None on the axis with index 1"),
-    ({"slave": (MassDamper(mass=1.0), MassDamper(mass=1.0), 3.0)}, "slave must be something with mass"),
-    ({"law": (Wave(), Wave(), PositionPosition())}, "of one class.*not PositionPosition and Wave"),
-    ({"device_m": (Device(), Device(), Device(every=2))}, "device_m differ in more than numbers"),
-    ({"device_m": (Device(encoder=Encoder(step=1e-5)), Device(), Device())}, "an encoder or none"),
-    ({"cap": (Cap(power=1.0), Cap(power=2.0), Cap(power=1.0))}, "the same power"),
-    ({"cap": (Cap(f_max=1.0), 3.0, None)}, "cap must be something with limits"),
-]
-
-
-@pytest.mark.parametrize(("parts", "sentence"), REFUSED)
-def test_parts_that_do_not_go_together_are_refused(parts: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(Refused, match=sentence):
-        unlike(**parts)
+    assert len(scene.axis_names) == 16 == len(set(scene.axis_names))
 
 
 def test_a_law_is_told_of_by_the_axes_on_which_its_condition_breaks() -> None:
@@ -146,11 +120,97 @@ def test_a_law_is_told_of_by_the_axes_on_which_its_condition_breaks() -> None:
     assert told[0].endswith("law.B=0.7837 is the least (and elbow, with their own numbers)")
 
 
-
-@pytest.mark.parametrize("law", ["pp"])
-def test_engines_agree_on_axes_that_are_unlike(law: str) -> None:
+@pytest.mark.parametrize("engine", ["vector", pytest.param("scalar", marks=pytest.mark.full)])
+def test_engines_agree_on_axes_that_are_unlike(engine: str) -> None:
     metrics = ("x_err_rms", "f_m_max", "f_s_max", "energy_out", "jerk_rms")
-    told = {engine: sweep(FILE, {"start": [0.01, 0.02, 0.03]}, fixed={"gains": law, "duration": 0.3}, metrics=metrics,
-                          engine=engine) for engine in ("plain", "scalar", "vector")}
-    rows = [[[row[name] for name in metrics] for row in table] for table in told.values()]
-    assert rows[0] == rows[1] == rows[2]
+    tables = [sweep(SCENE, {"start": [0.01, 0.02, 0.03]}, fixed={"gains": "pp", "duration": 0.3}, metrics=metrics,
+                    engine=each) for each in ("plain", engine)]
+    rows = [[[row[name] for name in metrics] for row in table] for table in tables]
+    assert rows[0] == rows[1]
+
+
+NAMES, UNITS = ("shoulder", "elbow", "rail"), ("rad", "rad", "m")
+ABOUT = {"scene": "hard_wall", "knobs": {}, "seed": 0, "mode": "live", "command": []}
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return run(unlike(duration=0.1))
+
+
+@pytest.fixture(scope="module")
+def folder(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    at = tmp_path_factory.mktemp("labels") / "run"
+    result.save(at)
+    return at
+
+
+def test_are_in_the_summary_and_come_back_with_the_run(folder: Path) -> None:
+    told = json.loads((folder / "summary.json").read_text())
+    assert (told["axis_names"], told["axis_units"]) == ([*NAMES], [*UNITS])
+    assert load_result(folder).labels == AxisLabels(NAMES, UNITS)
+    for wrong in ({"axis_units": ["mm"]}, {"axis_names": "x"}, {"axis_names": ["a"] * 17}):
+        with pytest.raises(Misshapen):
+            RUN({**told, **wrong}, "summary.json")
+
+
+def test_a_scene_that_gives_none_leaves_the_files_as_they_were() -> None:
+    for scene in (load_scene("canonical", duration=0.01), load_scene("recorded_reach", duration=0.01)):
+        assert not {"axis_names", "axis_units"} & run(scene).summary().keys()
+        assert labels_of(scene) == AxisLabels()
+
+
+def test_a_csv_has_them_in_its_columns_and_units(folder: Path) -> None:
+    parts = read_parts(folder, trust=False)
+    rows, about = BytesIO(), BytesIO()
+    write_csv(rows, parts)
+    write_metadata(about, Path("run.csv"), parts)
+    head = rows.getvalue().split(b"\n")[0].decode().split(",")
+    columns = {one["name"]: one for one in json.loads(about.getvalue())["tableSchema"]["columns"]}
+    assert [*columns] == head
+    units = {name: columns[name]["schema:unitText"] for name in
+             ("x_m_elbow", "v_s_elbow", "f_m_elbow", "x_m_rail", "v_s_rail", "f_m_rail", "t")}
+    assert [*units.values()] == ["rad", "rad/s", "N m", "m", "m/s", "N", "s"]
+    assert columns["x_m_elbow"]["dc:description"].endswith(", along elbow")
+
+
+def test_mcap_has_a_field_for_each_with_its_unit(folder: Path) -> None:
+    fields = [one for one in all_fields(read_parts(folder, trust=False)) if one.name in ("f_m", "g_m")]
+    own = schema_of("master", "", fields)["properties"]
+    assert [*own["f_m"]["properties"]] == [*NAMES]
+    assert [text["description"].partition("hand ")[2][:5] for text in own["f_m"]["properties"].values()] == [
+        "(N m)", "(N m)", "(N); "]
+    assert "(N" not in own["f_m"]["description"]  # of all axes together it has no unit
+
+
+def live_record(scene: Scene, at: Path) -> bytes:
+    writer = RecordWriter(scene, "m", at, ABOUT)
+    writer.begin("bodies")
+    width = sum(len(part) for part in [json.loads((at / FILE).read_bytes().partition(b"\n")[0])["columns"]]) - 3
+    writer.add(0, 0, 0, (0.5,) * width)
+    writer.close()
+    return (at / FILE).read_bytes()
+
+
+def test_a_live_record_has_them_in_its_header_and_its_stream(tmp_path: Path) -> None:
+    header = read_header(BytesIO(live_record(unlike(), tmp_path)))
+    assert (header["axis_names"], header["axis_units"]) == ([*NAMES], [*UNITS])
+    end = GrowingEnd(tmp_path, 0)
+    end.take(1)
+    assert next(one for one in end.fields if one.name == "x_m").flat == ("x_m_shoulder", "x_m_elbow", "x_m_rail")
+    end.close()
+
+
+def test_a_record_from_before_there_were_names_has_those_of_its_number_of_axes(tmp_path: Path) -> None:
+    assert b"axis_names" not in live_record(replace(unlike(), names=(), units=()), tmp_path)
+    end = GrowingEnd(tmp_path, 0)
+    end.take(1)
+    assert next(one for one in end.fields if one.name == "x_m").flat == ("x_m_x", "x_m_y", "x_m_z")
+    end.close()
+
+
+def test_a_record_of_sixteen_axes_can_be_read(tmp_path: Path) -> None:
+    many = replace(load_scene("recorded_reach"), axes=16, environment=None, hand=None, duration=0.1)
+    header = read_header(BytesIO(live_record(many, tmp_path)))
+    assert header["axes"] == 16
+    assert header["columns"].count("x_m") == 16

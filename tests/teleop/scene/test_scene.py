@@ -12,13 +12,14 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from channel.delay import Delay
 from slave.wall import Wall
-from teleop import Refused, Scene, load_scene
+from teleop import Refused, Scene, around, load_scene
 from teleop.laws.direct import Direct
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
+from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.manifest import fingerprint, manifest_of
+from teleop.protocol.session import Session
 from teleop.scene.scene import MOST_TICKS
 
 BODY = MassDamper(mass=1.0, damping=1.0)
@@ -48,92 +49,52 @@ class TestTime:
         except Refused:
             assert duration < dt * (1.0 + 1e-9)
 
-    @pytest.mark.parametrize("parts", [
-        {"dt": 0.0}, {"dt": -1e-3}, {"dt": float("nan")}, {"dt": 1e-9}, {"dt": 11.0}, {"dt": "1"}, {"dt": True},
-        {"duration": 0.0}, {"duration": float("inf")}, {"duration": 1e-4}, {"duration": 1e9}, {"duration": 1e300},
-    ])
-    def test_that_cannot_be_is_refused(self, parts: dict[str, Any]) -> None:
-        with pytest.raises(Refused, match=r"dt|duration"):
-            scene(**parts)
+
+def test_a_number_means_along_the_first_axis_and_numbers_of_numpy_become_plain_ones() -> None:
+    assert scene(axes=3, start_m=0.1).vector("start_m", 0.1) == (0.1, 0.0, 0.0)
+    assert scene(axes=3).environments == (None, None, None)
+    assert scene(axes=2, environment=WALL).environments == (WALL, None)
+    made = scene(dt=np.float64(1e-3), duration=np.int64(2), axes=np.int8(1), packet_size=np.uint16(80))
+    assert made == scene(dt=1e-3, duration=2.0, axes=1, packet_size=80)
+    kinds = [type(value) for value in (made.dt, made.duration, made.axes, made.packet_size)]
+    assert kinds == [float, float, int, int]
+    assert scene(law=Wave()).has_waves
+    assert not scene(law=Direct()).has_waves
 
 
-class TestAxes:
-    def test_a_number_means_along_the_first(self) -> None:
-        assert scene(axes=3, start_m=0.1).vector("start_m", 0.1) == (0.1, 0.0, 0.0)
-        assert scene(axes=3).environments == (None, None, None)
-        assert scene(axes=2, environment=WALL).environments == (WALL, None)
-
-    @pytest.mark.parametrize("parts", [
-        {"axes": 0}, {"axes": 17}, {"axes": 2, "start_m": (0.0,)}, {"start_s": (0.0, 0.0)},
-        {"axes": 2, "environment": ()}, {"start_m": float("nan")}, {"start_s": float("inf")},
-    ])
-    def test_that_do_not_fit_are_refused(self, parts: dict[str, Any]) -> None:
-        with pytest.raises(Refused):
-            scene(**parts)
-
-
-class TestParts:
-    @pytest.mark.parametrize("parts", [{"x_limit": 0.0}, {"observer": 0.0}, {"observer": float("nan")}])
-    def test_that_are_out_of_range_are_refused(self, parts: dict[str, Any]) -> None:
-        with pytest.raises(Refused):
-            scene(**parts)
-
-    @pytest.mark.parametrize(("parts", "words"), [
-        ({"playout": 0.1}, r"playout.*not 0\.1; write for example playout=Fixed\(0\.1\)"),
-        ({"law": None}, r"law must be something with master_start.*not None; write for example law=Wave\(\)"),
-        ({"law": Wave}, "law.*not the class Wave"), ({"law": "wave"}, "law.*not 'wave'"),
-        ({"master": 0.1}, r"master.*master=MassDamper\("), ({"slave": None}, r"slave.*slave=MassDamper\("),
-        ({"hand": 3}, r"hand.*hand=Grip\("), ({"link": 3}, r"link.*link=Delay\(0\.05\)"),
-        ({"link": Delay}, "link.*not the class Delay"), ({"environment": 3}, r"environment.*environment=Wall\("),
-        ({"axes": 2, "environment": (WALL, 3)}, "environment.*not 3"), ({"cap": 5.0}, r"cap.*cap=Cap\(f_max=20"),
-        ({"watchdog": 0.1}, r"watchdog.*watchdog=Watchdog\(timeout=0\.1"), ({"energy": "no"}, "energy=True"),
-        ({"packet_size": 0}, "packet_size must be at least 64, not 0; write for example packet_size=64"),
-        ({"packet_size": -5}, "at least 64"), ({"packet_size": 1201}, "at most 1200"),
-        ({"packet_size": 99.5}, "packet_size must be a whole number"), ({"packet_size": True}, "must be a number"),
-        ({"axes": 17}, "axes must be at most 16, not 17; write for example axes=16"),
-    ])
-    def test_of_another_shape_are_refused_with_what_to_write(self, parts: dict[str, Any], words: str) -> None:
-        with pytest.raises(Refused, match=words):
-            scene(**parts)
-
-    def test_of_numpy_become_plain_numbers(self) -> None:
-        made = scene(dt=np.float64(1e-3), duration=np.int64(2), axes=np.int8(1), packet_size=np.uint16(80))
-        assert made == scene(dt=1e-3, duration=2.0, axes=1, packet_size=80)
-        kinds = [type(value) for value in (made.dt, made.duration, made.axes, made.packet_size)]
-        assert kinds == [float, float, int, int]
-
-    @pytest.mark.parametrize("mass", [0.0, -1.0, float("nan"), float("inf"), None, "1"])
-    def test_a_body_without_a_mass_is_refused(self, mass: Any) -> None:
-        with pytest.raises(Refused, match="mass"):
-            MassDamper(mass=mass, damping=1.0)
-
-    def test_waves_are_a_matter_of_the_law(self) -> None:
-        assert scene(law=Wave()).has_waves
-        assert not scene(law=Direct()).has_waves
+def test_a_packet_is_as_large_as_usual_or_as_its_messages_need_or_refused_whatever_scene_was_made_before() -> None:
+    canonical = load_scene("canonical")
+    with pytest.raises(Refused, match="at least 81 bytes, which the message of law direct in 1 axis needs"):
+        replace(canonical, law=Direct(), packet_size=80)
+    assert replace(canonical, law=Direct(), packet_size=81).wire_size == 81
+    assert replace(canonical, law=Direct(), packet_size=73, energy=False).wire_size == 73  # no energy behind it
+    assert replace(canonical, law=Direct()).wire_size == 100
+    assert load_scene("recorded_reach").wire_size == 200
+    large = load_scene("canonical", law="guard | wave", playout="integral")  # three numbers, and T, U and E
+    assert large.wire_size == large.least_packet == 109
+    Endpoint(large, "s", Session(master=False, manifest=manifest_of(large), number=7))
+    replace(canonical, law=Wave(), packet_size=91)
+    with pytest.raises(Refused, match="at least 109 bytes"):
+        replace(canonical, law=around("guard", Wave()), packet_size=91, playout=large.playout)
 
 
 class TestManifest:
-    BASE = load_scene("canonical")
-
-    @pytest.mark.parametrize(("other", "key"), [
-        (load_scene("canonical", delay=0.1), "delay"), (load_scene("canonical", law="pfra"), "law"),
-        (load_scene("canonical", **{"law.b": 3.0}), "law"), (load_scene("canonical", dt=2e-3), "dt"),
-        (load_scene("canonical", energy=False), "energy"), (load_scene("canonical", observer=None), "observer"),
-        (replace(BASE, axes=2, packet_size=100), "axes"), (replace(BASE, packet_size=99), "packet_size"),
-        (replace(BASE, start_m=0.1), "start_m"), (replace(BASE, name="other"), "scene"),
-    ])
-    def test_differs_where_the_scenes_differ_and_nowhere_else(self, other: Scene, key: str) -> None:
-        mine, theirs = manifest_of(self.BASE), manifest_of(other)
-        apart = {name for name in mine if mine[name] != theirs[name]}
-        assert apart - {"link"} == {key}  # a knob of the link shows there too
-        assert ("link" in apart) == (key == "delay")
-
-    def test_of_another_link_differs_in_the_link(self) -> None:
+    def test_differs_where_the_scenes_differ_and_nowhere_else(self) -> None:
+        base = load_scene("canonical")
+        mine = manifest_of(base)
+        for scene, key in (
+                (load_scene("canonical", delay=0.1), "delay"), (load_scene("canonical", law="pfra"), "law"),
+                (load_scene("canonical", **{"law.b": 3.0}), "law"), (load_scene("canonical", dt=2e-3), "dt"),
+                (load_scene("canonical", energy=False), "energy"), (replace(base, name="other"), "scene"),
+                (load_scene("canonical", observer=None), "observer"), (replace(base, packet_size=99), "packet_size"),
+                (replace(base, axes=2, packet_size=100), "axes"), (replace(base, start_m=0.1), "start_m")):
+            theirs = manifest_of(scene)
+            apart = {name for name in mine if mine[name] != theirs[name]}
+            assert apart - {"link"} == {key}  # a knob of the link shows there too
+            assert ("link" in apart) == (key == "delay")
+        assert manifest_of(load_scene("canonical", delay="0.05")) == mine
         mine, theirs = (manifest_of(load_scene("canonical", link=f"delay({d})")) for d in (0.1, 0.2))
         assert {name for name in mine if mine[name] != theirs[name]} == {"link"}
-
-    def test_of_the_same_scene_is_the_same_text(self) -> None:
-        assert manifest_of(load_scene("canonical", delay="0.05")) == manifest_of(self.BASE)
 
     def test_tells_files_apart_by_what_is_in_them_not_by_where_they_lie(self, tmp_path: Path) -> None:
         for folder, text in (("a", "1"), ("b", "1"), ("c", "2")):
@@ -159,46 +120,17 @@ def scene(*, k_e=5.0, k_h=5.0, dark_for=1.0, duration=1.0):
 """
 
 
-class TestKnobsThatDeclareNothing:
-    """The part that a knob sets refuses its number, in its own words."""
-
-    @pytest.fixture
-    def path(self, tmp_path: Path) -> str:
-        (tmp_path / "undeclared.py").write_text(UNDECLARED)
-        return str(tmp_path / "undeclared.py")
-
-    def test_are_named_as_they_were_typed_where_the_part_knows_them_by_another_name(self, path: str) -> None:
-        with pytest.raises(Refused, match=r"^k_e must be at least 0, not -5; write for example k_e=0$"):
-            load_scene(path, k_e="-5", k_h="5", duration="2")
-
-    def test_are_named_even_where_the_part_calls_them_like_another_knob_that_was_set(self, path: str) -> None:
-        with pytest.raises(Refused, match=r"^dark_for must be at least 0, not -1; write for example dark_for=0$"):
-            load_scene(path, dark_for=-1, duration=2)
-        with pytest.raises(Refused, match=r"^duration must be above 0, not -1"):
-            load_scene(path, duration=-1, dark_for=2)
-
-    def test_are_all_shown_where_it_cannot_be_told_which_one_it_was(self, path: str) -> None:
-        with pytest.raises(Refused, match=r"^k must be at least 0, .* \(scene .* with k_e=-5\.0, k_h=-5\.0\)$"):
-            load_scene(path, k_e="-5", k_h="-5")
-
-
-class TestLoading:
-    @pytest.mark.parametrize("name", [3, None, Path("mine.py")])
-    def test_refuses_a_name_that_is_no_text(self, name: Any) -> None:
-        with pytest.raises(Refused, match=r"write for example load_scene\('canonical'\)"):
-            load_scene(name)
-
-    def test_refuses_a_link_that_is_none(self) -> None:
-        with pytest.raises(Refused, match=r"link must be something with arrivals, not 3; .*link=Delay\(0\.05\)"):
-            load_scene("canonical", link=3)
-
-    def test_refuses_a_scene_that_stops_or_returns_something_else(self, tmp_path: Path) -> None:
-        (tmp_path / "stops.py").write_text("def scene(): return 1 / 0\n")
-        (tmp_path / "other.py").write_text("def scene(): return 3\n")
-        with pytest.raises(Refused, match=r"stops\.py stopped with ZeroDivisionError"):
-            load_scene(str(tmp_path / "stops.py"))
-        with pytest.raises(Refused, match=r"returned int; its function must return a teleop\.Scene"):
-            load_scene(str(tmp_path / "other.py"))
+def test_a_knob_that_declares_nothing_is_named_as_it_was_typed_or_all_are_shown_that_it_may_be(tmp_path: Path) -> None:
+    """The part that it sets refuses its number, in its own words."""
+    path = tmp_path / "undeclared.py"
+    path.write_text(UNDECLARED)
+    for knobs, sentence in (
+            ({"k_e": "-5", "k_h": "5", "duration": "2"}, "^k_e must be at least 0, not -5; write for example k_e=0$"),
+            ({"dark_for": -1, "duration": 2}, "^dark_for must be at least 0, not -1; write for example dark_for=0$"),
+            ({"duration": -1, "dark_for": 2}, "^duration must be above 0, not -1"),
+            ({"k_e": "-5", "k_h": "-5"}, r"^k must be at least 0, .* \(scene .* with k_e=-5\.0, k_h=-5\.0\)$")):
+        with pytest.raises(Refused, match=sentence):
+            load_scene(str(path), **knobs)
 
 
 def test_a_scene_that_is_like_one_which_passed_is_still_checked_where_it_differs() -> None:
