@@ -1,16 +1,19 @@
-"""How what was measured is judged, and what is said to type."""
+"""`teleop doctor`: how what was measured is judged, what is said to type, and what is kept and cleared."""
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from teleop.doctor import command
 from teleop.doctor.command import Finding
+from teleop.scene.library import ROOT
 
 CURE = "type this for real-time scheduling"
 
@@ -34,32 +37,23 @@ class TestTheTimer:
             "with real-time scheduling half under 50.0 us late, 99 % under 120 us, at most 900 us, none of 900 left "
             "out; without it half under 50.0 us late, 99 % under 9.00 ms, at most 9.00 ms, none of 900 left out")
 
-    @pytest.mark.parametrize(("told", "good"), [
-        (ticks(499.0), True), (ticks(501.0), False), (ticks(left_out=9), True), (ticks(left_out=10), False)])
-    def test_is_good_up_to_half_a_tick_late_and_one_in_a_hundred_left_out(
-        self, told: dict[str, Any], good: bool
-    ) -> None:
-        found = command.timer({"ordinary": told, "realtime": None}, CURE)
-        assert found.good == good
-        assert ("good are 99 % under 500 us and 1% left out at most" in found.says) == (not good)
+    def test_is_good_up_to_half_a_tick_late_and_one_in_a_hundred_left_out(self) -> None:
+        for measured, good in ((ticks(499.0), True), (ticks(501.0), False), (ticks(left_out=9), True),
+                               (ticks(left_out=10), False)):
+            found = command.timer({"ordinary": measured, "realtime": None}, CURE)
+            assert found.good == good, measured
+            assert ("good are 99 % under 500 us and 1% left out at most" in found.says) == (not good)
 
-    def test_that_is_late_without_real_time_scheduling_is_cured_by_that(self) -> None:
+    def test_that_is_late_is_cured_by_real_time_scheduling_or_says_what_else_to_type(self) -> None:
         assert command.timer({"ordinary": ticks(2000.0), "realtime": None}, CURE).cure == CURE
+        assert "--spin" in str(command.timer({"ordinary": ticks(), "realtime": ticks(2000.0)}, None).cure)
 
-    def test_that_is_late_with_it_says_what_else_to_type(self) -> None:
-        cure = command.timer({"ordinary": ticks(), "realtime": ticks(2000.0)}, None).cure
-        assert cure is not None
-        assert "--spin" in cure
-
-    def test_that_is_not_precise_is_poor_whatever_it_measured(self) -> None:
-        found = command.timer({"ordinary": ticks(precise=False), "realtime": None}, None)
-        assert not found.good
-        assert "no timerfd" in found.says
-
-    def test_that_hardly_ever_ran_says_so(self) -> None:
-        found = command.timer({"ordinary": {**ticks(left_out=899), "late_us": {}}, "realtime": None}, CURE)
-        assert not found.good
-        assert "nearly all of 900 left out" in found.says
+    def test_that_is_not_precise_or_hardly_ever_ran_is_poor_whatever_it_measured(self) -> None:
+        for measured, words in ((ticks(precise=False), "no timerfd"),
+                                ({**ticks(left_out=899), "late_us": {}}, "nearly all of 900 left out")):
+            found = command.timer({"ordinary": measured, "realtime": None}, CURE)
+            assert not found.good
+            assert words in found.says
 
 
 class TestLoopbackAndBuffer:
@@ -69,28 +63,25 @@ class TestLoopbackAndBuffer:
                                    "13.0 us, 99 % under 20.0 us; the kernel says when each came")
         assert buffer == Finding("buffer", True, "holds 2520 datagrams, 2.52 s of messages at 1 kHz")
 
-    @pytest.mark.parametrize("also", [
-        {"lost": 1}, {"lost": 3000, "round_trip_us": {}}, {"round_trip_us": {"p50": 9.0, "p99": 1001.0, "p100": 2e3}}])
-    def test_that_loses_or_is_slow_is_poor(self, also: Mapping[str, Any]) -> None:
-        found = command.link(over(**also))[0]
-        assert not found.good
-        assert found.cure is not None
-        assert "good are none lost, and 99 % under 1.00 ms" in found.says
+    def test_that_loses_or_is_slow_is_poor(self) -> None:
+        for also in ({"lost": 1}, {"lost": 3000, "round_trip_us": {}},
+                     {"round_trip_us": {"p50": 9.0, "p99": 1001.0, "p100": 2e3}}):
+            found = command.link(over(**also))[0]
+            assert not found.good, also
+            assert found.cure is not None
+            assert "good are none lost, and 99 % under 1.00 ms" in found.says
 
-    def test_without_stamps_of_the_kernel_says_what_that_costs(self) -> None:
+    def test_without_stamps_of_the_kernel_or_a_loopback_says_what_that_costs(self) -> None:
         assert "what is read late counts as late" in command.link(over(stamps=False))[0].says
-
-    @pytest.mark.parametrize(("holds", "good"), [(800, True), (799, False), (278, False)])
-    def test_a_buffer_holds_as_long_as_an_end_is_silent_before_it_is_safe(self, holds: int, good: bool) -> None:
-        found = command.link(over(buffer={"asked": 1 << 20, "given": 212992, "holds": holds, "of": 4000}))[1]
-        assert found.good == good
-        if not good:
-            assert "net.core.rmem_max=1048576" in str(found.cure)
-
-    def test_without_a_loopback_there_is_one_sentence(self) -> None:
         found, = command.link({"error": "Network is unreachable"})
         assert not found.good
         assert "Network is unreachable" in found.says
+
+    def test_a_buffer_holds_as_long_as_an_end_is_silent_before_it_is_safe(self) -> None:
+        for holds, good in ((800, True), (799, False), (278, False)):
+            found = command.link(over(buffer={"asked": 1 << 20, "given": 212992, "holds": holds, "of": 4000}))[1]
+            assert found.good == good, holds
+            assert ("net.core.rmem_max=1048576" in str(found.cure)) == (not good)
 
 
 class TestFrequency:
@@ -114,19 +105,45 @@ class TestFrequency:
         assert command.governors() == {"powersave": 2, "performance": 1}
 
 
+class TestAnotherPackageOfTheName:
+    @pytest.fixture(autouse=True)
+    def alone(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """No distribution but ours has the name."""
+        monkeypatch.setattr(command, "packages_distributions", lambda: {"teleop": ["bilateral-teleop"]})
+
+    def test_is_a_package_or_a_file_on_the_path_but_no_command_and_no_folder(self, tmp_path: Path) -> None:
+        assert command.other_packages([str(ROOT), str(tmp_path), "no such folder"]) == []  # ours is no other
+        assert command.judge_name([]).good
+        for folder in ("one/teleop", "two", "bin", "notes/teleop"):
+            (tmp_path / folder).mkdir(parents=True)
+        for file in ("one/teleop/__init__.py", "two/teleop.py", "bin/teleop"):
+            (tmp_path / file).touch()
+        folders = [str(ROOT), *(str(tmp_path / name) for name in ("one", "two", "one", "bin", "notes"))]
+        found = command.other_packages(folders)
+        assert found == [str(tmp_path / "one" / "teleop"), str(tmp_path / "two" / "teleop.py")]
+        assert not command.judge_name(found).good
+
+    def test_is_a_distribution_that_has_written_over_ours(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        both = {"teleop": ["bilateral-teleop", "teleop", "teleop"]}
+        monkeypatch.setattr(command, "packages_distributions", lambda: both)
+        assert command.other_packages([]) == ["teleop"]
+        found = command.judge_name(["teleop"])
+        assert "another package called teleop is here too, teleop" in found.says
+        assert "pip install bilateral-teleop" in str(found.cure)
+
+
 class TestTheProbe:
-    @pytest.mark.parametrize(("code", "why"), [
-        ("raise SystemExit(3)", "did not come up"), ("print(7)", "did not come up"), ("print('{')", "did not come up"),
-        ("import time; time.sleep(60)", "took longer than 0.5 s"),
-    ])
-    def test_that_fails_is_told_as_such(self, code: str, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(command, "PROBE", ("-c", code))
-        monkeypatch.setattr(command, "PATIENCE", 0.5 if "sleep" in code else 30.0)
-        told = command.measure()
-        assert why in told["error"]
-        rights = command.realtime(told)
-        assert str(rights["scheduler"]).startswith("no (")
-        assert [one.good for one in command.judge(told, rights)] == [False]
+    def test_that_fails_is_told_as_such(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        for code, patience, why in (("raise SystemExit(3)", 60.0, "did not come up"),
+                                    ("print('{')", 60.0, "did not come up"), ("print(7)", 60.0, "did not come up"),
+                                    ("import time; time.sleep(60)", 0.2, "took longer than 0.2 s")):
+            monkeypatch.setattr(command, "PROBE", ("-S", "-c", code))
+            monkeypatch.setattr(command, "PATIENCE", patience)
+            answer = command.measure()
+            assert why in answer["error"], code
+            rights = command.realtime(answer)
+            assert str(rights["scheduler"]).startswith("no (")
+            assert [one.good for one in command.judge(answer, rights)] == [False]
 
     @pytest.mark.live
     def test_measures_what_is_judged(self) -> None:
@@ -141,3 +158,65 @@ class TestTheProbe:
         assert loopback["stamps"] == (sys.platform == "linux")
         names = [one.name for one in command.judge(told, command.realtime(told))]
         assert names == ["timer", "real time", "loopback", "buffer"]
+
+
+MEASURED: dict[str, Any] = {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked", "ordinary": ticks(),
+                            "realtime": ticks(), "loopback": over()}
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of kernels; and what is measured is there without waiting for it."""
+    monkeypatch.setattr(command, "measure", lambda: MEASURED)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    folder = tmp_path / "cache" / "bilateral-teleop" / "kernels"
+    (folder / "__pycache__").mkdir(parents=True)
+    (folder / "teleop_kernel_1.py").write_text("x")
+    (folder / "__pycache__" / "teleop_kernel_1.loop-1.nbi").write_text("yy")
+    (folder / "notes.txt").write_text("mine")
+    return folder
+
+
+def test_it_says_what_is_installed_and_what_is_not(typed: Callable[..., Any], cache: Path,
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    document = json.loads(typed("doctor", "--json").out)
+    assert document["packages"]["numpy"] == np.__version__
+    assert document["kernels"] == {"folder": str(cache), "modules": 1, "bytes": 3, "not_kept": None}
+    assert document["measured"] == MEASURED
+    assert {"others", "governors", "rmem_max"} <= document.keys()
+    assert document["realtime"] == {"scheduler": MEASURED["scheduler"], "memory": MEASURED["memory"], "cure": None}
+    assert [one["name"] for one in document["findings"]] == \
+        ["name", "timer", "real time", "loopback", "buffer", "frequency"]
+    assert all((one["cure"] is None) == (one["good"] is not False) for one in document["findings"])
+    monkeypatch.setattr(command, "version_of", lambda name: None if name == "numba" else "1.2.3")
+    out = typed("doctor").out
+    assert "not installed: pip install 'bilateral-teleop[batch]'" in out
+    assert str(cache) in out
+
+
+def test_it_clears_the_kernels_and_nothing_else(typed: Callable[..., Any], cache: Path) -> None:
+    assert typed("doctor", "--clear").out.startswith("1 kernel removed")
+    assert [path.name for path in cache.rglob("*") if path.is_file()] == ["notes.txt"]
+    assert json.loads(typed("doctor", "--json").out)["kernels"]["modules"] == 0
+    assert typed("doctor", "--clear").code == 0  # where there is nothing
+
+
+@pytest.mark.usefixtures("cache")
+def test_it_says_of_each_thing_whether_it_is_good_and_what_to_type_where_it_is_not(typed: Callable[..., Any],
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    told = {**MEASURED, "scheduler": "no (Operation not permitted)", "realtime": None}
+    monkeypatch.setattr(command, "measure", lambda: told)
+    monkeypatch.setattr("teleop.live.process.realtime.cure", lambda *, for_good: f"type this, {for_good}")
+    lines = [" ".join(line.split()) for line in typed("doctor").out.splitlines()]
+    at = lines.index("real time poor: a live end gets scheduler no (Operation not permitted), memory locked")
+    assert lines[at + 1] == "type this, True"
+    assert any(line.startswith("loopback ok: none of 3000 round trips lost") for line in lines)
+
+
+@pytest.mark.usefixtures("cache")
+def test_where_nothing_could_be_measured_the_rest_is_told(typed: Callable[..., Any],
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "measure", lambda: {"error": "its process did not come up"})
+    said = typed("doctor").out
+    assert "poor: nothing could be measured, for its process did not come up" in said
+    assert "numpy" in said

@@ -6,14 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from teleop import Refused
-from teleop.storage.folder import PART, Claim, claim, is_being_written, new_folder, numbered
+from teleop.scene.library import ROOT
+from teleop.storage.folder import PART, claim, is_being_written, new_folder, numbered
 
 
 @pytest.fixture(autouse=True)
@@ -21,27 +21,22 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_a_number_is_the_first_that_is_free(tmp_path: Path) -> None:
-    assert next(numbered(tmp_path / "not yet", "run")) == tmp_path / "not yet" / "run-1"
-    for taken in ("run-1", "run-3", "other-2"):
-        (tmp_path / taken).mkdir()
-    numbers = numbered(tmp_path, "run")
-    assert [next(numbers).name for _ in range(2)] == ["run-2", "run-4"]
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
 
 
 class TestAClaim:
-    def test_without_a_name_takes_the_next_number(self) -> None:
+    def test_takes_a_name_that_is_free_or_the_first_number_that_is(self, tmp_path: Path) -> None:
+        assert next(numbered(tmp_path / "not yet", "run")) == tmp_path / "not yet" / "run-1"
         assert [str(claim(None, "x").path) for _ in range(3)] == ["runs/x-1", "runs/x-2", "runs/x-3"]
-
-    def test_of_a_name_that_is_taken_is_refused(self) -> None:
+        shutil.rmtree("runs/x-2")
+        numbers = numbered(Path("runs"), "x")
+        assert [next(numbers).name for _ in range(2)] == ["x-2", "x-4"]
         assert claim("x").path == Path("x")
-        with pytest.raises(Refused, match="x is there already; give another folder with --out, or remove it"):
-            claim("x")
-
-    @pytest.mark.parametrize("name", ["a\0b", "\udc80\ud800"])
-    def test_of_a_name_that_no_folder_can_have_is_refused(self, name: str) -> None:
-        with pytest.raises(Refused, match="cannot write to"):
-            claim(name)
+        for name, sentence in (("x", "x is there already; give another folder with --out, or remove it"),
+                               ("a\0b", "cannot write to"), ("\udc80\ud800", "cannot write to")):
+            with pytest.raises(Refused, match=sentence):
+                claim(name)
 
     def test_that_is_dropped_takes_the_parents_that_it_made_with_it_and_no_others(self, tmp_path: Path) -> None:
         first, second = claim("a/b/first"), claim("a/b/second")
@@ -91,17 +86,13 @@ class TestTwoAtOnce:
 
         monkeypatch.setattr(Path, "mkdir", mkdir)
 
-    def test_the_loser_of_a_given_name_is_refused_and_leaves_the_record_of_the_winner(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        self.beaten(monkeypatch, "x")
-        with pytest.raises(Refused, match="x is there already"), new_folder("x"):
-            pytest.fail("it was taken")
-        assert [path.name for path in Path("x").iterdir()] == ["record.bin"]
-
-    def test_the_loser_of_a_number_takes_the_next_and_leaves_the_record_of_the_winner(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_the_loser_is_refused_or_takes_the_next_number_and_leaves_the_record_of_the_winner(
+            self, monkeypatch: pytest.MonkeyPatch) -> None:
+        with monkeypatch.context() as patch:
+            self.beaten(patch, "x")
+            with pytest.raises(Refused, match="x is there already"), new_folder("x"):
+                pytest.fail("it was taken")
+        assert names(Path("x")) == ["record.bin"]
         self.beaten(monkeypatch, "runs/x-1")
         with suppress(KeyboardInterrupt), new_folder(None, "x") as new:
             assert new.path == Path("runs/x-2")
@@ -122,31 +113,22 @@ for turn in sys.stdin:  # all start at the same line
             made = claim(out)
             (made.path / "of").write_text(sys.argv[1])
             made.close()
-            path = made.path
-        elif how == "live":
-            with fresh_folder(out, name) as folder:
-                path = folder.path
-                folder.keep()
-                (path / "of").write_text(sys.argv[1])
         else:
-            with new_folder(out, name) as new:
-                (new.inside / "of").write_text(sys.argv[1])
-            path = new.path
-        said = str(path)
+            with fresh_folder(out, name) if how == "live" else new_folder(out, name) as made:
+                (getattr(made, "inside", made.path) / "of").write_text(sys.argv[1])
+                how == "live" and made.keep()
+        answer = str(made.path)
     except Refused as refused:
-        said = "refused" if "is there already" in str(refused) else str(refused)
-    print(said, flush=True)
+        answer = "refused" if "is there already" in str(refused) else str(refused)
+    print(answer, flush=True)
 """
 
     def test_of_many_processes_one_gets_the_name_and_no_record_is_lost(self) -> None:
-        turns = [(how, f"{how}{i}") for i in range(40) for how in ("claim", "live", "new")]
-        turns += [("numbered", "x")] * 20
-        root = str(Path(__file__).resolve().parents[3])
-        children = [
-            subprocess.Popen([sys.executable, "-c", self.CHILD, str(i)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                             text=True, env={**os.environ, "PYTHONPATH": root})
-            for i in range(8)
-        ]
+        turns = [(how, f"{how}{i}") for i in range(15) for how in ("claim", "live", "new")]
+        turns += [("numbered", "x")] * 10
+        children = [subprocess.Popen(
+            [sys.executable, "-c", self.CHILD, str(i)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT)}) for i in range(6)]
         try:
             for turn in turns:
                 self.take(children, *turn)
@@ -154,7 +136,7 @@ for turn in sys.stdin:  # all start at the same line
             for child in children:
                 child.kill()
                 child.communicate()
-        assert sorted(path.name for path in Path("runs").iterdir()) == sorted(f"x-{i + 1}" for i in range(160))
+        assert sorted(path.name for path in Path("runs").iterdir()) == sorted(f"x-{i + 1}" for i in range(60))
         assert list(Path().glob(f"**/{PART}")) == []
 
     @staticmethod
@@ -163,13 +145,13 @@ for turn in sys.stdin:  # all start at the same line
             assert child.stdin is not None
             child.stdin.write(f"{how} {name}\n")
             child.stdin.flush()
-        said = [child.stdout.readline().strip() for child in children if child.stdout is not None]
+        answers = [child.stdout.readline().strip() for child in children if child.stdout is not None]
         if how == "numbered":
-            assert len({*said}) == len(children), said
-            assert [(Path(path) / "of").read_text() for path in said] == [str(i) for i in range(len(children))]
+            assert len({*answers}) == len(children), answers
+            assert [(Path(path) / "of").read_text() for path in answers] == [str(i) for i in range(len(children))]
         else:
-            assert sorted(said) == sorted([name, *["refused"] * (len(children) - 1)])
-            assert (Path(name) / "of").read_text() == str(said.index(name))
+            assert sorted(answers) == sorted([name, *["refused"] * (len(children) - 1)])
+            assert (Path(name) / "of").read_text() == str(answers.index(name))
 
 
 class TestANewFolder:
@@ -183,34 +165,32 @@ class TestANewFolder:
             if trouble is not None:
                 raise trouble
 
-    def test_is_whole_when_all_is_written(self, tmp_path: Path) -> None:
-        folder = tmp_path / "a" / "b"
+    def test_is_whole_when_all_is_written_with_its_summary_after_all_else(
+            self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        moved, rename, folder = [], Path.rename, tmp_path / "a" / "b"
+        monkeypatch.setattr(Path, "rename", lambda path, to: (moved.append(path.name), rename(path, to))[1])
         with new_folder(folder) as new:
             assert new.path == folder
-            (new.inside / "file").write_text("x")
-            assert [path.name for path in folder.iterdir()] == [PART]
-        assert [path.name for path in folder.iterdir()] == ["file"]
-        assert [path.name for path in folder.parent.iterdir()] == ["b"]
-
-    def test_gets_its_summary_after_all_else(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        moved = []
-        rename: Callable[[Path, Path], Path] = Path.rename
-        monkeypatch.setattr(Path, "rename", lambda path, to: (moved.append(path.name), rename(path, to))[1])
-        with new_folder(tmp_path / "a") as new:
             for name in ("summary.json", "trace.npz", "a.png"):
                 (new.inside / name).write_text("x")
+            assert names(folder) == [PART]
+            with pytest.raises(Refused, match=r"there already, not whole: another process writes it, or was killed"):
+                claim(folder)
+        assert names(folder) == sorted(moved) == ["a.png", "summary.json", "trace.npz"]
         assert moved[-1] == "summary.json"
-        assert len(moved) == 3
+        assert names(folder.parent) == ["b"]
 
-    @pytest.mark.parametrize("trouble", [KeyboardInterrupt, ZeroDivisionError, Refused])
-    def test_leaves_nothing_when_it_goes_wrong(self, tmp_path: Path, trouble: type[BaseException]) -> None:
-        with pytest.raises(trouble):
-            self.fail_in(tmp_path / "a" / "b", trouble)
+    def test_leaves_nothing_when_it_goes_wrong(self, tmp_path: Path) -> None:
+        for trouble in (KeyboardInterrupt, ZeroDivisionError, Refused):
+            with pytest.raises(trouble):
+                self.fail_in(tmp_path / "a" / "b", trouble)
+            assert not list(tmp_path.iterdir())
+        with pytest.raises(Refused, match="No space left"), new_folder(tmp_path / "a"):
+            raise OSError(28, "No space left on device")
         assert not list(tmp_path.iterdir())
 
-    def test_leaves_nothing_when_it_is_interrupted_between_two_files(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_leaves_nothing_when_it_is_interrupted_between_two_files(self, tmp_path: Path,
+            monkeypatch: pytest.MonkeyPatch) -> None:
         rename, count = Path.rename, []
 
         def interrupted(path: Path, to: Path) -> Path:
@@ -233,40 +213,27 @@ class TestANewFolder:
         assert (tmp_path / "a" / "b" / "another").is_dir()
         with pytest.raises(KeyboardInterrupt):
             self.fail_in(tmp_path / "a" / "d" / "e", KeyboardInterrupt)
-        assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
+        assert names(tmp_path / "a") == ["b"]
 
-    def test_turns_what_the_system_refuses_into_a_sentence(self, tmp_path: Path) -> None:
-        with pytest.raises(Refused, match="No space left"), new_folder(tmp_path / "a"):
-            raise OSError(28, "No space left on device")
-        assert not list(tmp_path.iterdir())
-
-    @pytest.mark.parametrize("kind", ["folder", "file", "dangling link"])
-    def test_never_takes_what_is_there(self, tmp_path: Path, kind: str) -> None:
-        there = tmp_path / "there"
-        make = {"folder": there.mkdir, "file": there.touch, "dangling link": lambda: there.symlink_to("nowhere")}
-        make[kind]()
-        with pytest.raises(Refused, match="there already"), new_folder(there):
-            pytest.fail("it was taken")
-        assert [path.name for path in tmp_path.iterdir()] == ["there"]
-
-    def test_that_a_kill_left_is_said_to_be_not_whole(self, tmp_path: Path) -> None:
-        with new_folder(tmp_path / "a") as new:
-            (new.inside / "file").write_text("x")
-            with pytest.raises(Refused, match=r"there already, not whole: another process writes it, or was killed"):
-                claim(tmp_path / "a")
+    def test_never_takes_what_is_there(self, tmp_path: Path) -> None:
+        (tmp_path / "folder").mkdir()
+        (tmp_path / "file").touch()
+        (tmp_path / "link").symlink_to("nowhere")
+        for name in ("folder", "file", "link"):
+            with pytest.raises(Refused, match="there already"), new_folder(tmp_path / name):
+                pytest.fail("it was taken")
+        assert names(tmp_path) == ["file", "folder", "link"]
 
     def test_leaves_what_another_process_has_written_into_it(self, tmp_path: Path) -> None:
         folder = tmp_path / "run"
         with pytest.raises(Refused, match=r"another process has written theirs into .*run meanwhile"):
             self.fail_in(folder, None, theirs=folder / "theirs")
-        assert [path.name for path in folder.iterdir()] == ["theirs"]
-        assert [path.name for path in tmp_path.iterdir()] == ["run"]
+        assert (names(folder), names(tmp_path)) == (["theirs"], ["run"])
 
 
 def test_a_claim_holds_on_to_its_folder_until_it_is_closed() -> None:
     """Otherwise the next folder may get the same number of the file system, and would be taken for this one."""
     ours = claim("x")
-    assert isinstance(ours, Claim)
     was = Path("x").stat().st_ino
     shutil.rmtree("x")
     for i in range(20):
