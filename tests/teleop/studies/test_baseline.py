@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.studies.baseline import baseline_contact, contact_force, rigid_baseline
 
@@ -35,19 +34,16 @@ def test_a_swing_against_tissue_is_that_of_one_body_of_all_masses() -> None:
     assert contact.peak == pytest.approx(expected.peak, rel=2e-3)
 
 
-def test_nothing_to_touch_has_no_baseline_contact() -> None:
+def test_the_force_of_several_axes_is_their_magnitude_and_nothing_to_touch_has_none() -> None:
+    assert contact_force(np.array([[3.0, 4.0], [0.0, 5.0]])) == (5.0, 5.0)
     assert baseline_contact(load_scene("free_motion", duration=0.1)) is None
 
 
-def test_the_force_of_several_axes_is_their_magnitude() -> None:
-    assert contact_force(np.array([[3.0, 4.0], [0.0, 5.0]])) == (5.0, 5.0)
-
-
-@pytest.mark.parametrize("k_e", [100.0, 2000.0])
-def test_the_rod_presses_as_two_springs_in_series(k_e: float) -> None:
+def test_the_rod_presses_as_two_springs_in_series() -> None:
     """A hand of 200 N/m that reaches 0.03 m beyond the surface: F = k_h k_e/(k_h + k_e) 0.03."""
-    steady = rigid_baseline(load_scene("hard_wall", k_e=k_e)).steady
-    assert steady == pytest.approx(200.0 * k_e / (200.0 + k_e) * 0.03, rel=1e-6)
+    for k_e in (100.0, 2000.0):
+        steady = rigid_baseline(load_scene("hard_wall", k_e=k_e)).steady
+        assert steady == pytest.approx(200.0 * k_e / (200.0 + k_e) * 0.03, rel=1e-6), k_e
 
 
 def test_in_free_space_the_rod_moves_as_the_hand_and_presses_nothing() -> None:
@@ -62,13 +58,3 @@ def test_a_hand_that_keeps_moving_has_no_steady_force() -> None:
     baseline = rigid_baseline(load_scene("canonical", duration=2.0))
     assert baseline.steady is None
     assert baseline.scale == baseline.pressed > 0.0
-
-
-@pytest.mark.parametrize(("scene", "knobs", "why"), [
-    ("virtual_wall", {}, "no hand that moves a slave"),
-    ("hard_wall", {"to": 0.0}, "moves nothing"),
-    ("hard_wall", {"scale_x": 0.5}, "scales"),
-])
-def test_a_scene_that_no_law_can_be_tuned_in_is_refused(scene: str, knobs: dict[str, float], why: str) -> None:
-    with pytest.raises(Refused, match=why):
-        rigid_baseline(load_scene(scene, duration=1.0, **knobs))

@@ -32,15 +32,11 @@ def carried_out(jobs: list[int], workers: int) -> tuple[dict[int, int], dict[int
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_every_part_is_taken_before_its_answer(workers: int) -> None:
+def test_every_part_is_taken_before_its_answer_and_a_refusal_of_a_job_is_that_of_the_whole(workers: int) -> None:
     answers, parts, begun = carried_out([3, 1, 2], workers)
     assert answers == {0: 9, 1: 1, 2: 4}
     assert parts == {0: [0, 1, 2], 1: [0], 2: [0, 1]}
     assert sorted(begun) == [0, 1, 2]
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_refusal_of_a_job_is_that_of_the_whole(workers: int) -> None:
     with pytest.raises(Refused, match="below zero"):
         carried_out([2, -1], workers)
 

@@ -28,28 +28,21 @@ DIFFER = {  # what is known not to come out as printed, and why it cannot
 OTHERS = {("hannaford_ryu", "fitted"): 1, ("choi_tan", "published"): 2}
 
 
-class TestALabel:
-    @pytest.mark.parametrize(("finding", "label"), [
-        (Replication("peak", "33.53", 33.534), "reproduced"),
-        (Replication("peak", "33.53", 33.536), "differs"),
-        (Replication("peak", "33.53", 33.536, tolerance=0.01), "reproduced"),
-        (Replication("peak", "1600", 1600.5), "reproduced"),
-        (Replication("peak", "0.8", float("nan")), "differs"),
-        (Replication("verdict", "stable", "stable"), "reproduced"),
-        (Replication("verdict", "stable", "unstable"), "differs"),
-        (Replication("bounces", "6", "many"), "differs"),
-        (Replication("peak", "33.53", None), "published"),
-        (Replication("bounces", "6", 6.0, is_fitted=True), "fitted"),
-    ])
-    def test_says_what_came_of_a_number(self, finding: Replication, label: str) -> None:
-        assert finding.label == label
-
-    def test_is_told_with_a_digit_more_than_is_printed_or_asked_for(self) -> None:
-        assert result_text(Replication("peak", "33.53", 33.53412)) == "33.534"
-        assert result_text(Replication("damping", "0.8", 0.8, tolerance=1e-6)) == "0.800000"
-        assert result_text(Replication("stiffness", "1600.00", 1605.351, tolerance=32.0)) == "1605.351"
-        assert result_text(Replication("peak", "1", None)) == "-"
-        assert result_text(Replication("verdict", "stable", "unstable")) == "unstable"
+def test_a_label_says_what_came_of_a_number_told_with_a_digit_more_than_is_printed_or_asked_for() -> None:
+    for finding, label, result in (
+            (Replication("peak", "33.53", 33.53412), "reproduced", "33.534"),
+            (Replication("peak", "33.53", 33.536), "differs", "33.536"),
+            (Replication("peak", "33.53", 33.536, tolerance=0.01), "reproduced", "33.536"),
+            (Replication("peak", "1600", 1600.5), "reproduced", "1600.5"),
+            (Replication("damping", "0.8", 0.8, tolerance=1e-6), "reproduced", "0.800000"),
+            (Replication("stiffness", "1600.00", 1605.351, tolerance=32.0), "reproduced", "1605.351"),
+            (Replication("peak", "0.8", float("nan")), "differs", "nan"),
+            (Replication("verdict", "stable", "stable"), "reproduced", "stable"),
+            (Replication("verdict", "stable", "unstable"), "differs", "unstable"),
+            (Replication("bounces", "6", "many"), "differs", "many"),
+            (Replication("peak", "33.53", None), "published", "-"),
+            (Replication("bounces", "6", 6.0, is_fitted=True), "fitted", "6.0")):
+        assert (finding.label, result_text(finding)) == (label, result), finding
 
 
 @pytest.mark.parametrize("name", PUBLICATIONS)
@@ -81,22 +74,20 @@ def test_a_wall_with_another_force_would_be_seen(monkeypatch: pytest.MonkeyPatch
 
 
 class TestTheCommand:
-    def test_tells_published_and_found_beside_each_other(self, typed: Typed) -> None:
-        told = typed("reproduce", "encoder_wall")
-        assert told.code == 0
-        row = next(line for line in told.out.splitlines() if line.startswith("run B (K 2500): observed energy"))
+    def test_tells_published_and_found_beside_each_other_and_how_many_of_which_kind(self, typed: Typed) -> None:
+        lines = typed("reproduce", "encoder_wall").out.splitlines()
+        row = next(line for line in lines if line.startswith("run B (K 2500): observed energy"))
         assert row.split()[-5:] == ["reproduced", "-17.6", "-17.60", "0.05", "mJ"]
-        assert told.out.splitlines()[-1] == "15 numbers of teaching material: 15 reproduced"
+        assert lines[-1] == "15 numbers of teaching material: 15 reproduced"
+        lines = typed("reproduce", "colgate_schenkel").out.splitlines()
+        assert lines[-1] == "5 numbers of a paper's formula at numbers chosen here: 5 reproduced"
 
-    def test_counted_formulas_and_fitted_numbers_as_if_a_paper_had_printed_them(self, typed: Typed) -> None:
-        assert typed("reproduce", "hannaford_ryu").out.splitlines()[-1] == (
+    def test_counted_fitted_numbers_as_reproduced_and_did_not_say_that_a_tolerance_was_chosen_here(
+            self, typed: Typed) -> None:
+        lines = typed("reproduce", "hannaford_ryu").out.splitlines()
+        assert lines[-1] == (
             "7 numbers printed in a paper: 5 reproduced, 1 different, 1 fitted, which is no reproduction")
-        counts = typed("reproduce", "colgate_schenkel").out.splitlines()[-1]
-        assert counts == "5 numbers of a paper's formula at numbers chosen here: 5 reproduced"
-
-    def test_did_not_say_that_a_tolerance_was_chosen_here(self, typed: Typed) -> None:
-        out = typed("reproduce", "hannaford_ryu").out
-        row = next(line for line in out.splitlines() if line.startswith("90 kN/m at 1 kHz, no controller"))
+        row = next(line for line in lines if line.startswith("90 kN/m at 1 kHz, no controller"))
         assert row.endswith("swing below 0.02 mm (chosen here)")
 
     def test_says_why_a_number_differs_and_why_one_was_not_run(self, typed: Typed) -> None:
@@ -105,21 +96,16 @@ class TestTheCommand:
         assert "judged by people" in out
 
     def test_leaves_a_document_and_a_page(self, typed: Typed, tmp_path: Path) -> None:
-        told = json.loads(typed("reproduce", "diolaiti", "--out", "kept", "--json").out)
+        document = json.loads(typed("reproduce", "diolaiti", "--out", "kept", "--json").out)
         assert json.loads((tmp_path / "kept" / "summary.json").read_text()) == {
-            key: value for key, value in told.items() if key != "path"}
-        first = told["publications"][0]["findings"][0]
+            key: value for key, value in document.items() if key != "path"}
+        first = document["publications"][0]["findings"][0]
         assert (first["published"], first["label"], first["tolerance"]) == (1.5, "reproduced", 1e-6)
         assert first["tolerance_chosen_here"] is True
         assert first["found"] == pytest.approx(1.5)
         page = (tmp_path / "kept" / "page.md").read_text()
-        assert "## diolaiti" in page
-        assert "IEEE Trans. Robotics 22(2), 2006" in page
-        assert "| 1.5 | 1.500000 |" in page
-
-    def test_of_an_unknown_name_says_the_nearest_and_writes_nothing(self, typed: Typed, tmp_path: Path) -> None:
-        typed("reproduce", "dioliti", "--out", "kept").assert_refused("dioliti", "did you mean diolaiti?")
-        assert not (tmp_path / "kept").exists()
+        for words in ("## diolaiti", "IEEE Trans. Robotics 22(2), 2006", "| 1.5 | 1.500000 |"):
+            assert words in page
 
     def test_without_a_name_has_them_all(self) -> None:
         assert [find_publication(name).name for name in PUBLICATIONS] == list(PUBLICATIONS)

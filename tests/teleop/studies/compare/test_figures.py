@@ -25,26 +25,17 @@ def test_a_law_that_fails_where_it_is_hard_is_not_the_better_for_it() -> None:
     assert ranked.failed == ("frail",)
 
 
-def test_laws_closer_than_their_spread_over_seeds_tie() -> None:
-    def law(name: str, *values: float) -> list[dict[str, Any]]:
-        return [row(name, "loss", seed, x_err_rms=value) for seed, value in enumerate(values)]
-
-    rows = [*law("a", 0.0100, 0.0104), *law("b", 0.0104, 0.0106), *law("c", 0.0110, 0.0111)]
-    groups = ranking(BY_KEY["x_err_rms"], judge_laws(rows, ["c", "b", "a"])).groups
-    assert [[name for name, _ in group] for group in groups] == [["a", "b"], ["c"]]
-
-
-def test_without_dice_one_percent_is_no_difference() -> None:
-    rows = [row("a", "delay", 0, jerk_rms=100.0), row("b", "delay", 0, jerk_rms=100.9),
-            row("c", "delay", 0, jerk_rms=102.0)]
-    groups = ranking(BY_KEY["jerk_rms"], judge_laws(rows, ["a", "b", "c"])).groups
-    assert [len(group) for group in groups] == [2, 1]
-
-
-def test_half_the_force_of_the_rod_is_as_far_from_it_as_double() -> None:
-    rows = [row(name, "delay", 0, wall_late=value) for name, value in (("off", 0.5), ("hard", 2.0), ("near", 1.1))]
-    groups = ranking(BY_KEY["wall_late"], judge_laws(rows, ["off", "hard", "near"])).groups
-    assert [[name for name, _ in group] for group in groups] == [["near"], ["off", "hard"]]
+def test_laws_closer_than_their_spread_over_seeds_tie_and_without_dice_those_within_one_percent() -> None:
+    """Half the force of the rod is as far from it as double."""
+    cases: tuple[tuple[str, str, dict[str, tuple[float, ...]], list[list[str]]], ...] = (
+        ("x_err_rms", "loss", {"c": (0.0110, 0.0111), "b": (0.0104, 0.0106), "a": (0.01, 0.0104)}, [["a", "b"], ["c"]]),
+        ("jerk_rms", "delay", {"a": (100.0,), "b": (100.9,), "c": (102.0,)}, [["a", "b"], ["c"]]),
+        ("wall_late", "delay", {"off": (0.5,), "hard": (2.0,), "near": (1.1,)}, [["near"], ["off", "hard"]]))
+    for key, link, laws, expected in cases:
+        rows = [row(law, link, seed, **{key: value}) for law, values in laws.items()
+                for seed, value in enumerate(values)]
+        groups = ranking(BY_KEY[key], judge_laws(rows, [*laws])).groups
+        assert [[name for name, _ in group] for group in groups] == expected, key
 
 
 def test_a_row_without_dice_counts_for_every_seed() -> None:
