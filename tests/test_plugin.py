@@ -1,4 +1,4 @@
-"""A law in a package of its own, built and put on the path: it is in every command without a line changed."""
+"""A law, a device and a robot in packages of their own, built and put on the path: in every command, unchanged."""
 
 from __future__ import annotations
 
@@ -16,24 +16,31 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop import check_law, find_law, load_result, load_scene, run, sweep
+from teleop import Refused, check_device, check_law, find_law, load_result, load_scene, run, sweep
 from teleop.__main__ import main
+from teleop.live.devices.opening import find_device
 from teleop.scene.library import ROOT
 
-PLUGIN = Path(__file__).parent / "plugin"
 GAINS = {"law.K": 400.0, "law.kf": 0.8}
+LISTED = """
+import sys
+from teleop.__main__ import main
+main(["list", "robots"])
+print("imported" if "rail_devices" in sys.modules else "not imported")
+"""
 
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the plug-in as an installer leaves it: the package, and its metadata with the entry point."""
-    folder = tmp_path_factory.mktemp("plugin")
-    shutil.copytree(PLUGIN, folder / "sources", ignore=shutil.ignore_patterns("__pycache__"))
-    program = "from hatchling.build import build_wheel; print(build_wheel('.'))"
-    done = subprocess.run([sys.executable, "-c", program], cwd=folder / "sources", capture_output=True, text=True,
-                          check=True)
-    with zipfile.ZipFile(folder / "sources" / done.stdout.split()[-1]) as wheel:
-        wheel.extractall(folder / "site")
+    """A folder with both packages as an installer leaves them, their metadata with the entry points."""
+    folder = tmp_path_factory.mktemp("plugins")
+    for name in ("plugin", "device_plugin"):
+        sources = folder / name
+        shutil.copytree(Path(__file__).parent / name, sources, ignore=shutil.ignore_patterns("__pycache__"))
+        program = "from hatchling.build import build_wheel; print(build_wheel('.'))"
+        done = subprocess.run([sys.executable, "-c", program], cwd=sources, capture_output=True, text=True, check=True)
+        with zipfile.ZipFile(sources / done.stdout.split()[-1]) as wheel:
+            wheel.extractall(folder / "site")
     return folder / "site"
 
 
@@ -41,6 +48,13 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.syspath_prepend(str(site))
     return site
+
+
+def python(site: Path, *words: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """Run a Python that has the packages."""
+    own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    return subprocess.run([sys.executable, *words], cwd=cwd, capture_output=True, text=True, check=False,
+                          env={**own, "PYTHONPATH": os.pathsep.join([str(ROOT), str(site)])})
 
 
 @pytest.mark.usefixtures("installed")
@@ -64,7 +78,7 @@ class TestALawOfAPlugIn:
         for name in mine:
             np.testing.assert_array_equal(mine[name], built_in[name], err_msg=name)
 
-    @pytest.mark.parametrize("engine", ["plain", "vector"])
+    @pytest.mark.parametrize("engine", ["plain", pytest.param("vector", marks=pytest.mark.full)])
     def test_is_a_value_of_a_sweeps_axis(self, engine: str) -> None:
         fixed = {"duration": 0.2, **GAINS}
         rows = sweep("soft_tissue", {"law": ["springs"], "k_e": [100.0, 1000.0]}, engine=engine, fixed=fixed)
@@ -73,9 +87,8 @@ class TestALawOfAPlugIn:
         for mine, theirs in zip(rows, built_in, strict=True):
             assert {**mine, "law": "direct"} == theirs
 
-    def test_cost_a_look_through_all_installed_packages_in_every_row_of_a_sweep(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_cost_a_look_through_all_installed_packages_in_every_row_of_a_sweep(self,
+            monkeypatch: pytest.MonkeyPatch) -> None:
         looked: list[str] = []
         real = importlib.metadata.entry_points
 
@@ -88,9 +101,8 @@ class TestALawOfAPlugIn:
               fixed={"duration": 0.01})
         assert looked.count("teleop.laws") == 1
 
-    def test_stands_in_a_comparison_beside_the_built_in_ones(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_stands_in_a_comparison_beside_the_built_in_ones(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+            capsys: pytest.CaptureFixture[str]) -> None:
         monkeypatch.chdir(tmp_path)
         Path("two.toml").write_text('seeds = 1\n[[link]]\nname = "10 ms"\nlink = "delay(0.01)"\n[[environment]]\n'
                                     'name = "tissue"\nscene = "soft_tissue"\nset = {duration = 0.3}\n')
@@ -115,11 +127,8 @@ class TestALawOfAPlugIn:
 def test_a_law_of_a_plug_in_runs_live_as_in_virtual_time(
     site: Path, installed: Path, tmp_path: Path  # noqa: ARG001 - the one is on the path of this process
 ) -> None:
-    own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    path = os.pathsep.join([str(ROOT), str(site)])
     knobs = ["--set", "law=springs", "--set", "duration=0.3", "--set", "delay=0.01"]
-    done = subprocess.run([sys.executable, "-m", "teleop", "demo", "hard_wall", *knobs, "--lockstep", "--out", "live"],
-                          cwd=tmp_path, env={**own, "PYTHONPATH": path}, capture_output=True, text=True, check=False)
+    done = python(site, "-m", "teleop", "demo", "hard_wall", *knobs, "--lockstep", "--out", "live", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     live = load_result(tmp_path / "live").trace
     virtual = run(load_scene("hard_wall", law="springs", duration=0.3, delay=0.01)).trace
@@ -127,9 +136,41 @@ def test_a_law_of_a_plug_in_runs_live_as_in_virtual_time(
         np.testing.assert_array_equal(live[name], virtual[name], err_msg=name)
 
 
+@pytest.mark.usefixtures("installed")
+class TestDevicesOfAPlugIn:
+    def test_are_listed_without_being_imported(self, site: Path) -> None:
+        done = python(site, "-c", LISTED)
+        assert "rail       from a plug-in, rail_devices:carriage" in done.stdout
+        assert done.stdout.splitlines()[-1] == "not imported"
+
+    def test_pass_the_check_by_name_and_take_what_stands_behind_it(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert check_device("rail:0.001", ticks=50).moved[0] > 0.0
+        assert main(["check", "device", "rail_handle", "--ticks", "50"]) == 0
+        assert "device rail_handle: 1 axis, with a force sensor, simulated" in capsys.readouterr().out
+
+    def test_of_a_wrong_name_or_scene_are_refused(self) -> None:
+        with pytest.raises(Refused, match="did you mean rail_handle"):
+            find_device("m", "rail_handel")
+        with pytest.raises(Refused, match="the rail has one axis, and the scene 3"):
+            find_device("s", "rail").open(load_scene("recorded_reach"))
+        with pytest.raises(Refused, match=r"which makes the device, raised ValueError: could not convert .*'near'"):
+            find_device("s", "rail:near").open(load_scene("hard_wall"))
+
+    @pytest.mark.live
+    def test_are_driven_live_by_name_before_a_recorded_hand(self, site: Path, tmp_path: Path) -> None:
+        rows = "\n".join(f"{k / 1000},{min(0.1, k / 10_000)}" for k in range(0, 2001, 10))
+        (tmp_path / "hand.csv").write_text(f"t,x\n{rows}\n")
+        words = ["hard_wall", "--set", "law=direct", "--link", "none", "--set", "duration=1.5"]
+        done = python(site, "-m", "teleop", "demo", *words, "--device", "csv:hand.csv", "--robot", "rail:0.03", "--out",
+                      "live", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        trace = np.load(tmp_path / "live" / "trace.npz")
+        np.testing.assert_allclose(trace["x_m"], np.minimum(0.1, trace["t"] / 10.0), atol=1e-12)
+        assert trace["x_s"].max() > 0.03, "it came to the stop"
+        assert trace["f_env"].max() > 0.5, "which pushed back"
+
+
 def test_without_the_package_its_law_is_unknown(site: Path) -> None:
-    done = subprocess.run([sys.executable, "-m", "teleop", "list", "springs"], cwd=ROOT, capture_output=True, text=True,
-                          check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert str(site) not in sys.path
-    assert done.returncode == 2
-    assert "'springs'" in done.stderr
+    with pytest.raises(Refused, match="'springs'"):
+        find_law("springs")

@@ -63,16 +63,16 @@ def test_the_first_page_moves_and_is_light_enough_for_a_phone() -> None:
     assert data.count(b"ANMF") > 1  # frames
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
-def test_every_command_of_a_page_can_be_typed(page: Path) -> None:
-    command_line = parser()
-    for words in typed(page, "bin/teleop"):
-        told = command_line.parse_args(words)
-        scene = getattr(told, "scene", None)
-        if isinstance(scene, str) and not scene.endswith(".py"):
-            assert scene in built_in_scenes(), words
-            if not any(there_later in " ".join(words) for there_later in ("law_mine.py", "recorded(", "FILE")):
-                load_scene(scene, **knobs_from(told))
+def test_every_command_of_a_page_can_be_typed() -> None:
+    command_line, scenes = parser(), built_in_scenes()
+    for page in PAGES:
+        for words in typed(page, "bin/teleop"):
+            arguments = command_line.parse_args(words)
+            scene = getattr(arguments, "scene", None)
+            if isinstance(scene, str) and not scene.endswith(".py"):
+                assert scene in scenes, (page, words)
+                if not any(there_later in " ".join(words) for there_later in ("law_mine.py", "recorded(", "FILE")):
+                    load_scene(scene, **knobs_from(arguments))
 
 
 def test_the_first_page_shows_every_kind_of_answer() -> None:
@@ -80,17 +80,17 @@ def test_the_first_page_shows_every_kind_of_answer() -> None:
     assert shown >= {"demo", "run", "report", "sweep", "precision", "stability", "passivity", "zwidth"}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
-def test_every_module_and_test_that_a_page_starts_exists(page: Path) -> None:
-    for words in typed(page, "bin/python"):
-        if words[0] == "-m" and words[1] != "pip":
-            module = ROOT.joinpath(*words[1].split("."))
-            assert module.with_suffix(".py").is_file() or (module / "__main__.py").is_file(), words
-        elif words[0].endswith(".py"):
-            assert (ROOT / words[0]).is_file(), words
-    for words in typed(page, "bin/pytest"):
-        for word in words:
-            assert not word.startswith("tests/") or (ROOT / word.partition("::")[0]).exists(), words
+def test_every_module_and_test_that_a_page_starts_exists() -> None:
+    for page in PAGES:
+        for words in typed(page, "bin/python"):
+            if words[0] == "-m" and words[1] != "pip":
+                module = ROOT.joinpath(*words[1].split("."))
+                assert module.with_suffix(".py").is_file() or (module / "__main__.py").is_file(), words
+            elif words[0].endswith(".py"):
+                assert (ROOT / words[0]).is_file(), words
+        for words in typed(page, "bin/pytest"):
+            for word in words:
+                assert not word.startswith("tests/") or (ROOT / word.partition("::")[0]).exists(), words
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=name)
@@ -108,24 +108,22 @@ def test_the_law_of_the_page_on_laws_goes_where_the_page_says(tmp_path: Path) ->
     assert load_scene("hard_wall", law=str(tmp_path / "law_mine.py"), **{"law.K": "150"}).law.K == 150.0
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
-def test_what_a_page_links_to_is_there(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
-        path, _, heading = target.partition("#")
-        other = page if not path else (page.parent / path)
-        assert other.exists(), target
-        if heading:
-            lines = re.findall(r"^#+ (.*)$", other.read_text(), re.MULTILINE)
-            assert heading in {re.sub(r"[^\w -]", "", line).strip().lower().replace(" ", "-") for line in lines}, target
-
-
-@pytest.mark.parametrize("page", [page for page in PAGES if page.name == "README.md"], ids=name)
-def test_files_and_rooms_that_a_table_names_are_there(page: Path) -> None:
+def test_what_a_page_links_to_and_the_files_and_rooms_that_its_tables_name_are_there() -> None:
     """A name in a table counts from the page's folder, or from the root."""
-    for line in page.read_text().splitlines():
-        if line.startswith("| "):
-            for named in re.findall(r"`([\w./]+(?:\.py|\.toml|\.csv|/))`", line):
-                assert (page.parent / named).exists() or (ROOT / named).exists(), named
+    for page in PAGES:
+        text = page.read_text()
+        for target in re.findall(r"\]\(([^)\s]+)\)", text):
+            path, _, heading = target.partition("#")
+            linked = page if not path else (page.parent / path)
+            assert linked.exists(), (page, target)
+            if heading:
+                lines = re.findall(r"^#+ (.*)$", linked.read_text(), re.MULTILINE)
+                assert heading in {re.sub(r"[^\w -]", "", line).strip().lower().replace(" ", "-")
+                                   for line in lines}, (page, target)
+        for line in text.splitlines() if page.name == "README.md" else ():
+            if line.startswith("| "):
+                for named in re.findall(r"`([\w./]+(?:\.py|\.toml|\.csv|/))`", line):
+                    assert (page.parent / named).exists() or (ROOT / named).exists(), (page, named)
 
 
 def test_every_top_folder_says_what_it_is() -> None:

@@ -27,16 +27,15 @@ def listed_for_type_checkers(package: str) -> dict[str, str]:
 
 @pytest.mark.parametrize("package", PACKAGES)
 class TestEveryPackage:
-    def test_each_name_is_found(self, package: str) -> None:
-        module = import_module(package)
-        for name in module.__all__:
-            assert getattr(module, name) is not None
-
     def test_type_checkers_and_python_find_the_same_names_in_the_same_modules(self, package: str) -> None:
         module = import_module(package)
         homes = {name: f"{package}.{home}" for home, names in module._HOMES.items() for name in names}
         assert listed_for_type_checkers(package) == homes
         assert {*module.__all__} - {"DISTRIBUTION", "__version__"} == {*homes}
+        assert all(getattr(module, name) is not None for name in module.__all__)
+        assert dir(module) == sorted(module.__all__)
+        with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'misspelt'"):
+            _ = module.misspelt
 
     def test_a_name_is_of_the_module_that_defines_it(self, package: str) -> None:
         module = import_module(package)
@@ -47,38 +46,25 @@ class TestEveryPackage:
                      for target in node.targets if isinstance(target, ast.Name)}
             assert {*names} <= made, home
 
-    def test_dir_lists_them_and_a_misspelt_one_is_an_attribute_error(self, package: str) -> None:
-        module = import_module(package)
-        assert dir(module) == sorted(module.__all__)
-        with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'misspelt'"):
-            _ = module.misspelt
-
-    def test_dir_hid_them_among_what_the_file_needs_for_itself_and_a_tab_completes_them(self, package: str) -> None:
-        code = (f"import sys, rlcompleter, {package}\n"
+    def test_importing_it_loads_none_of_them_and_a_tab_completes_them_alone(self, package: str) -> None:
+        """`dir` hid them among what the file needs for itself."""
+        code = (f"import sys, {package}\nprint(*sys.modules)\nimport rlcompleter\n"
                 f"assert 'TYPE_CHECKING' not in dir({package}) and 'numpy' not in sys.modules\n"
                 f"print(*filter(None, map(rlcompleter.Completer(vars()).complete, ['{package}.'] * 99, range(99))))")
-        completed = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True,
-                                   check=True).stdout
-        public = {name for name in import_module(package).__all__ if not name.startswith("_")}
-        assert public == {each.removeprefix(f"{package}.").rstrip("()") for each in completed.split()}
-
-    def test_importing_it_loads_none_of_them(self, package: str) -> None:
-        code = f"import sys, {package}; print(*sys.modules)"
         done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-        of_ours = {name for name in done.stdout.split() if name.partition(".")[0] in PACKAGES}
-        assert of_ours == {package, "teleop", "teleop.version"}
-        assert not {"numpy", "asyncio", "msgpack", "dataclasses"} & {*done.stdout.split()}
+        loaded, completed = (line.split() for line in done.stdout.splitlines())
+        assert {name for name in loaded if name.partition(".")[0] in PACKAGES} == {package, "teleop", "teleop.version"}
+        assert not {"numpy", "asyncio", "msgpack", "dataclasses"} & {*loaded}
+        public = {name for name in import_module(package).__all__ if not name.startswith("_")}
+        assert public == {each.removeprefix(f"{package}.").rstrip("()") for each in completed}
 
 
 INNER = re.compile(rf"(?:from|import) +(?:{'|'.join(PACKAGES)})\.", re.MULTILINE)
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "scenarios").rglob("[!_]*.py")), ids=lambda path: path.stem)
-def test_a_scene_imports_nothing_but_public_names(path: Path) -> None:
-    assert INNER.findall(path.read_text(encoding="utf-8")) == []
-
-
-def test_the_readme_imports_nothing_but_public_names() -> None:
+def test_scenes_and_the_readme_import_nothing_but_public_names() -> None:
+    for path in (ROOT / "scenarios").rglob("[!_]*.py"):
+        assert INNER.findall(path.read_text(encoding="utf-8")) == [], path
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert INNER.findall(text) == []
     for package, name in re.findall(rf"`({'|'.join(PACKAGES)})\.([A-Za-z_]\w*)[`(]", text):
