@@ -39,13 +39,13 @@ def test_hellos_reach_the_slave_at_a_bounded_rate_and_each_sender_has_a_share() 
     """Of 20,000 a second from any addresses a thousand are passed on; an honest master's find room among them."""
     site, rng = Site(), random.Random(4)
     asked = passed = 0
-    for k in range(20_000):
+    for k in range(10_000):
         site.now += MS // 20
         passed += site.takes(site.session(k)(Kind.HELLO), (UNKNOWN[0], rng.randrange(10_000, 60_000)))
-        if k % 1000 == 0:
+        if k % 500 == 0:
             asked += site.takes(site.session(10**6)(Kind.HELLO), MASTER)
     assert asked > 0
-    assert 1000 <= passed <= 1200
+    assert 500 <= passed <= 600
     once = Site()
     assert sum(once.takes(once.session(k)(Kind.HELLO), UNKNOWN) for k in range(100)) == EACH_MOST
     assert once.takes(once.session(10**6)(Kind.HELLO), MASTER)

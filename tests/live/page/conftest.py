@@ -23,7 +23,7 @@ from teleop.live.page.session import PageParts, Start
 from teleop.live.process.interrupt import Interrupt
 from tests.waiting import PATIENCE
 
-FAKE = (sys.executable, str(Path(__file__).with_name("fake.py")))
+FAKE = (sys.executable, "-S", "-E", str(Path(__file__).with_name("fake.py")))  # it needs no package
 TOKEN = "a-token"
 HTML = b"<!doctype html><style>b{}</style><script>let a = 1;</script>"
 

@@ -160,7 +160,10 @@ def test_what_is_lost_again_at_once_waits_for_a_person(served: Serve, monkeypatc
     served(scenario)
 
 
-@pytest.mark.parametrize("name", [pytest.param("master", marks=pytest.mark.full), "slave", "channel"])
+FULL = [pytest.param(name, marks=pytest.mark.full) for name in ("master", "channel")]
+
+
+@pytest.mark.parametrize("name", ["slave", *FULL])
 def test_a_turn_that_one_of_the_three_refuses_leaves_them_as_they_were(
     served: Serve, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

@@ -8,23 +8,24 @@ from pathlib import Path
 
 import pytest
 
-from teleop import load_result
+from teleop import load_result, load_scene
 from teleop.live.page.session import PageParts
-from tests.live.conftest import LOSSY
+from tests.live.conftest import Pair
 
 pytestmark = pytest.mark.live
-KNOBS = {"duration": "2.0", "link": LOSSY}
+KNOBS = {"duration": "0.2"}
 
 
 @pytest.fixture
-def parts(tmp_path: Path, lossy: Path) -> PageParts:
+def parts(tmp_path: Path) -> PageParts:
     """Three parts: a whole one, one that only the master came to, one whose master's record is another file."""
+    ends = Pair(load_scene("hard_wall", duration=0.2), tmp_path / "ends", seed=1).run()
+    ran = dict(zip("ms", ends.write(), strict=True))
     made = PageParts(tmp_path, {"scene": "hard_wall", "seed": 0, "command": ["teleop"]})
     for why in ("start", "turn", "again"):
         folders = made.begin(KNOBS, 0, why)
-        for e, name in (("m", "master"), ("s", "slave")):
-            if why != "turn" or e == "m":
-                shutil.copytree(lossy / name, folders[e])
+        for e in "ms" if why != "turn" else "m":
+            shutil.copytree(ran[e], folders[e])
     (tmp_path / "03" / "master" / "record.bin").write_text("another file\n")
     (tmp_path / "03" / "master" / "summary.json").unlink()
     return made
