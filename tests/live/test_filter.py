@@ -128,36 +128,6 @@ def test_sealed_data_comes_through_as_long_as_it_says_and_of_the_epoch_of_data(e
 
 
 @linux
-def test_real_sealed_datagrams_come_through(ends: Ends, tmp_path: object) -> None:
-    """Of a whole association: its handshake, its data, and the alert that ends it."""
-    pytest.importorskip("OpenSSL")
-    from pathlib import Path
-
-    from teleop.protocol.secure.keys import keygen, load_key
-    from teleop.protocol.secure.secure_link import SecureLink
-
-    keys = [load_key(keygen(Path(str(tmp_path)) / name)[0]) for name in "ms"]
-    here, there = ("192.0.2.1", 1), ("192.0.2.2", 2)
-    one = SecureLink.calling(keys[0], keys[1].fingerprint, there)
-    other = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(32))
-    attach(ends.here, program(*of_records()))
-    flying = one.due(0)
-    while flying:
-        data, at = flying.pop(0)
-        assert ends.come(data) == [data]
-        flying += one.receive(data, there, 0)[1] if at == here else other.receive(data, here, 0)[1]
-    assert one.ready
-    assert other.ready
-    said = one.send(packet(Kind.FORTH))
-    assert said is not None
-    end = [data for data, _ in one.close()]
-    assert end
-    assert ends.come(*end) == end
-    attach(ends.here, program(*of_records(handshakes=False)))
-    assert ends.come(said) == [said]
-
-
-@linux
 @settings(max_examples=150)
 @given(data=st.data())
 def test_the_kernel_judges_as_the_shapes_read(ends: Ends, data: st.DataObject) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,31 +14,21 @@ from slave.robot import SimulatedSlave
 from teleop import DeviceError, DeviceWatchdog, Reading, Refused, end_main, load_scene
 from teleop.live.devices.opening import open_device
 from teleop.scene.library import ROOT
+from tests.fakes import Body, raising
 
 SCENE = load_scene("hard_wall", duration=0.1)
 
 
-class Robot:
-    """A device with nothing wrong."""
-
-    deadline = 0.15
-
-    def __init__(self, _scene: object) -> None:
-        pass
-
-    def read(self, k: int) -> Reading:
-        return Reading((0.0,), (0.0,))
-
-    def hold(self, force: tuple[float, ...]) -> None:
-        pass
+class Robot(Body):
+    """A device with nothing wrong, and each below with one mistake."""
 
 
 class NoHold:
-    read = Robot.read
+    read = Body.read
 
 
 class OtherName(NoHold):
-    set_force = Robot.hold
+    set_force = Body.hold
 
 
 class TakesNothing(Robot):
@@ -48,30 +37,17 @@ class TakesNothing(Robot):
 
 
 class Waits(Robot):
-    async def read(self, k: int) -> Reading:  # type: ignore[override]
+    async def read(self, k: int) -> Reading:
         return Reading((0.0,), (0.0,))
-
-
-class OfNoScene(Robot):
-    def __init__(self) -> None:
-        pass
 
 
 class Watched(Robot):
     watchdog = "my_arm:zeroing"
 
 
-class NoTime(Robot):
-    """`teleop check` said that its force "lets go by itself after -1 s"."""
-
-    deadline = -1.0
-
-
-def raises(error: BaseException) -> Callable[[Any], Any]:
-    def make(_scene: object) -> Any:
-        raise error
-
-    return make
+class OfNoScene(Robot):
+    def __init__(self) -> None:
+        pass
 
 
 @pytest.mark.parametrize(("make", "words"), [
@@ -85,14 +61,14 @@ def raises(error: BaseException) -> Callable[[Any], Any]:
                     "written as read() -> "]),
     (Waits, ["Waits.read is a coroutine", "write def read(self, k), without async"]),
     (Watched, ["is a DeviceWatchdog, not 'my_arm:zeroing'", 'DeviceWatchdog(open="my_arm:zeroing")']),
-    (raises(DeviceError("no such port")), ["the device cannot be opened: no such port"]),
-    (raises(FileNotFoundError(2, "No such file or directory", "/dev/arm")), ["cannot be opened", "/dev/arm"]),
-    (raises(DeviceError()), ["cannot be opened: DeviceError"]),
-    (raises(ZeroDivisionError("by what")), ["make(scene), which makes the device, raised ZeroDivisionError: by what",
-                                            "test_opening.py:"]),
-    (raises(SystemExit(0)), ["make(scene), which makes the device, raised SystemExit: 0"]),
-    (NoTime, ["a device's deadline must be above 0 s, not -1; write for example deadline=1"]),
-    (raises(Refused("take a scene of one axis")), ["take a scene of one axis"]),
+    (raising(DeviceError("no such port")), ["the device cannot be opened: no such port"]),
+    (raising(FileNotFoundError(2, "No such file or directory", "/dev/arm")), ["cannot be opened", "/dev/arm"]),
+    (raising(DeviceError()), ["cannot be opened: DeviceError"]),
+    (raising(ZeroDivisionError("by what")), ["call(scene), which makes the device, raised ZeroDivisionError: by what",
+                                            "fakes.py:"]),
+    (raising(SystemExit(0)), ["call(scene), which makes the device, raised SystemExit: 0"]),
+    (partial(Robot, deadline=-1.0), ["a device's deadline must be above 0 s, not -1; write for example deadline=1"]),
+    (raising(Refused("take a scene of one axis")), ["take a scene of one axis"]),
 ], ids=lambda each: each[0] if isinstance(each, list) else "")
 def test_what_is_no_device_was_a_traceback_or_ended_a_session_that_had_begun(make: Any, words: list[str]) -> None:
     with pytest.raises(Refused) as refused:
