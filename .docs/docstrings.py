@@ -16,7 +16,8 @@ class Docstrings(Extension):  # type: ignore[misc]
     def on_object(self, *, obj: Object, **_: Any) -> None:
         """Change the docstring of one object."""
         if obj.docstring is not None:
-            obj.docstring.value = EXAMPLE.sub(lambda match: f"```python\n{match[0].rstrip()}\n```\n", obj.docstring.value)
+            text = obj.docstring.value
+            obj.docstring.value = EXAMPLE.sub(lambda match: f"```python\n{match[0].rstrip()}\n```\n", text)
         elif obj.is_attribute:
             _, _, comment = obj.source.partition("  # ")
             if comment and not comment.startswith(("type:", "noqa")):

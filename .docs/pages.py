@@ -43,11 +43,11 @@ def reference(package: str) -> str:
     return "\n\n".join([f"# {package}", *[f"::: {homes[name]}.{name}" for name in names]])
 
 
-def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:  # noqa: ARG001 - MkDocs calls it so
     """Point figures at their copies, take out links that lead out of the site, and write formulas as MathML."""
     def target(match: re.Match[str]) -> str:
         picture, text, where = match.groups()
-        path, _, heading = where.partition("#")
+        path = where.partition("#")[0]
         place = normpath(join(dirname(page.file.src_uri), path)) if path else page.file.src_uri
         if place.startswith(FIGURES):
             up = "../" * page.file.src_uri.count("/")

@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parent.parent
 @pytest.mark.docs
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="pip install 'bilateral-teleop[docs]'")
-    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", ROOT / ".docs/mkdocs.yml", "-d", tmp_path]
-    done = subprocess.run(build, capture_output=True, text=True, check=False)
+    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(ROOT / ".docs/mkdocs.yml")]
+    done = subprocess.run([*build, "-d", str(tmp_path)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "x<" in (tmp_path / "reference/teleop/index.html").read_text()  # names of the reference
     assert "<math" in (tmp_path / "laws/index.html").read_text()
