@@ -14,11 +14,7 @@ from teleop.knob import knobs_of_fields
 from teleop.law import find_law, known_laws
 from teleop.law.offers import AgeRange as Ages
 from teleop.law.offers import Facts, broken, seed_energy
-from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.notes import facts_of, fitted
-from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
-from teleop.sweeps.kernels.kernel import available, figures, plain_kernel
-from tests.teleop.sweeps.kernels.test_kernel import inputs
 
 
 class Place(NamedTuple):
@@ -91,17 +87,6 @@ class TestEnergyThatALawKeeps:
         trace = run(scene(Coupled(), axes=3)).trace
         assert trace["E_law"] == pytest.approx(trace["E_port"] + (1 + 3) * 0.01, abs=1e-15)
         assert seed_energy(Coupled(), axes=3) == pytest.approx((1 + 3) * 0.01)
-
-    def test_it_is_a_figure_of_a_run_and_of_every_engine_to_the_bit(self) -> None:
-        scenes = [scene(Dampers(B=0.1 * i), duration=0.2) for i in range(8)]
-        measures = sorted(available(scenes[0]))
-        found = []
-        for engine in (plain_kernel, scalar_kernel, vector_kernel):
-            kernel = engine(scenes[0], exact_bodies(scenes[0]), measures)
-            found.append([each[2] for each in figures(kernel, [inputs(kernel, one, 1) for one in scenes])])
-        single = [run(one, seed=1).metrics for one in scenes]
-        for name in ("E_law_min", "E_law_end"):
-            assert [[row[name] for row in rows] for rows in found] == [[row[name] for row in single]] * 3
 
     def test_a_law_without_stored_energy_has_no_such_column(self) -> None:
         assert "E_law" not in run(scene(Wave())).trace

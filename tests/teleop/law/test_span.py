@@ -9,11 +9,7 @@ import pytest
 
 from teleop import At, Refused, Scene, Watchdog, check_law, load_scene, run
 from teleop.analysis.models.linear import linear_scene
-from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.source import rendered
-from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
-from teleop.sweeps.kernels.kernel import available, figures, plain_kernel
-from tests.teleop.sweeps.kernels.test_kernel import inputs
 
 
 class Place(NamedTuple):
@@ -96,16 +92,6 @@ def test_a_law_that_names_neither_has_no_line_for_them() -> None:
     text = rendered(load_scene("canonical", law="direct"))
     assert "dt, nan, nan))" in text
     assert "span" not in text
-
-
-def test_every_engine_tells_a_law_the_same() -> None:
-    scenes = [replace(timed(), law=Timed(K=150.0 + 10.0 * i)) for i in range(8)]
-    measures = sorted(available(scenes[0]))
-    found = []
-    for engine in (plain_kernel, scalar_kernel, vector_kernel):
-        kernel = engine(scenes[0], exact_bodies(scenes[0]), measures)
-        found.append(repr(figures(kernel, [inputs(kernel, scene, 1) for scene in scenes])))
-    assert found[0] == found[1] == found[2]
 
 
 def test_the_linear_steps_of_stability_have_the_tick_for_span() -> None:

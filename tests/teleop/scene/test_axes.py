@@ -27,7 +27,6 @@ from teleop import (
     load_result,
     load_scene,
     run,
-    sweep,
 )
 from teleop.export.files import schema_of, write_csv, write_metadata
 from teleop.export.stored import all_fields, read_parts
@@ -118,15 +117,6 @@ def test_a_law_is_told_of_by_the_axes_on_which_its_condition_breaks() -> None:
     assert len(told) == 1
     assert told[0].startswith("shoulder: ")
     assert told[0].endswith("law.B=0.7837 is the least (and elbow, with their own numbers)")
-
-
-@pytest.mark.parametrize("engine", ["vector", pytest.param("scalar", marks=pytest.mark.full)])
-def test_engines_agree_on_axes_that_are_unlike(engine: str) -> None:
-    metrics = ("x_err_rms", "f_m_max", "f_s_max", "energy_out", "jerk_rms")
-    tables = [sweep(SCENE, {"start": [0.01, 0.02, 0.03]}, fixed={"gains": "pp", "duration": 0.3}, metrics=metrics,
-                    engine=each) for each in ("plain", engine)]
-    rows = [[[row[name] for name in metrics] for row in table] for table in tables]
-    assert rows[0] == rows[1]
 
 
 NAMES, UNITS = ("shoulder", "elbow", "rail"), ("rad", "rad", "m")

@@ -9,17 +9,13 @@ import numpy as np
 import pytest
 
 from channel import LeftOut, LeftOutTicks, parse_link
-from teleop import Cap, Device, Refused, Scene, Watchdog, Zero, load_scene, run
+from teleop import Refused, Scene, Zero, load_scene, run
 from teleop.analysis.models.linear import linear_scene
 from teleop.analysis.passivity.one_port import one_port
 from teleop.analysis.passivity.surroundings import linear_parts
 from teleop.scene.scene import both_ends
-from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.source import rendered
 from teleop.sweeps.chunk import Job, work
-from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
-from teleop.sweeps.kernels.kernel import available, figures, plain_kernel
-from tests.teleop.sweeps.kernels.test_kernel import inputs
 
 SOME = LeftOutTicks((25, 26, 27, 35, 50, 51, 90, 91, 92, 93, 94))
 
@@ -35,14 +31,12 @@ def held(trace: Any, name: str) -> np.ndarray:
     return np.flatnonzero(column[1:] == column[:-1]) + 1
 
 
-@pytest.mark.parametrize("e", ["m", "s"])
-def test_the_force_is_held_while_the_bodies_move(e: str) -> None:
-    trace = run(pressed(**{f"left_out_{e}": SOME})).trace
-    late = held(trace, f"f_{e}")
-    assert [k for k in late.tolist() if k > 15] == [*SOME.ticks]
-    assert not np.isin(SOME.ticks, held(trace, f"x_{e}")).any()
-    other = "s" if e == "m" else "m"
-    assert [k for k in held(trace, f"f_{other}").tolist() if k > 15] == []
+def test_the_force_is_held_while_the_bodies_move() -> None:
+    for e, peer in ("ms", "sm"):
+        trace = run(pressed(**{f"left_out_{e}": SOME})).trace
+        assert [k for k in held(trace, f"f_{e}").tolist() if k > 15] == [*SOME.ticks], e
+        assert not np.isin(SOME.ticks, held(trace, f"x_{e}")).any(), e
+        assert [k for k in held(trace, f"f_{peer}").tolist() if k > 15] == [], e
 
 
 def test_a_packet_of_a_tick_that_is_left_out_is_never_sent_and_what_comes_at_one_waits() -> None:
@@ -93,25 +87,6 @@ def test_a_one_port_scene_leaves_out_ticks_too() -> None:
     assert np.isin(np.intersect1d(late, pressing), held(result.trace, "f_m")).all()
 
 
-def test_every_engine_gives_the_same_bits_with_a_schedule_for_all_lanes_or_one_for_each() -> None:
-    base = replace(
-        load_scene("canonical", law="pfra", link="delay(0.01) | blackout(0.2, 0.1)"), energy=True, duration=0.5,
-        watchdog=Watchdog(timeout=0.02, ramp=0.02, settle=0.02), cap=Cap(f_max=9.0, slew=2000.0, v_max=0.4, power=0.05),
-        device_s=Device(every=3))
-    scenes = [replace(base, left_out_m=LeftOut(0.05 + 0.05 * i), left_out_s=LeftOut(0.2, 4.0)) for i in range(8)]
-    measures = sorted(available(scenes[0]))
-    engines = [(engine, engine(scenes[0], exact_bodies(scenes[0]), measures))
-               for engine in (plain_kernel, scalar_kernel, vector_kernel)]
-    for alike in (True, False):
-        found = []
-        for _, kernel in engines:
-            rows = [inputs(kernel, scene, i) for i, scene in enumerate(scenes)]
-            rows = [row._replace(schedule=rows[3].schedule, path=rows[3].path) for row in rows] if alike else rows
-            found.append(list(map(repr, figures(kernel, rows))))
-        assert found[0] == found[1] == found[2]
-        assert alike or len(set(found[0])) == 8
-
-
 def test_a_sweep_over_the_share_gives_each_row_its_run() -> None:
     shares = (0.0, 0.05, 0.2)
     rows = [(i, {"left_out": share}, 3) for i, share in enumerate(shares)]
@@ -131,15 +106,17 @@ def test_passivity_says_that_ticks_are_left_out_and_not_that_it_is_passive_with_
     assert left[-2:] == ["ticks that the master leaves out", "ticks that the slave leaves out"]
 
 
-@pytest.mark.parametrize("out", [[True] * 300, np.zeros(299, dtype=bool), np.zeros(300, dtype=int), None])
-def test_ticks_of_ones_own_that_are_no_truths_are_refused(out: Any) -> None:
+def test_ticks_of_ones_own_that_are_no_truths_are_refused() -> None:
     """A list ended in a TypeError of numpy's, and numbers in place of truths in a run without a single packet."""
     class Own:
-        def left_out(self, end: int, count: int, seed: int) -> Any:
-            return out
+        out: Any = None
 
-    with pytest.raises(Refused, match=r"^Own.left_out gives .*, not a truth for each of 300 ticks; return an array"):
-        run(pressed(left_out_m=Own()))
+        def left_out(self, end: int, count: int, seed: int) -> Any:
+            return self.out
+
+    for Own.out in ([True] * 300, np.zeros(299, dtype=bool), np.zeros(300, dtype=int), None):
+        with pytest.raises(Refused, match=r"^Own.left_out gives .*, not a truth for each of 300 ticks; return an arr"):
+            run(pressed(left_out_m=Own()))
 
 
 def test_an_end_that_runs_no_tick_is_not_said_to_have_too_long_a_link() -> None:

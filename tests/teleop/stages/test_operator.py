@@ -17,14 +17,10 @@ from teleop.laws.four_channel import FourChannel
 from teleop.laws.pp import PositionPosition
 from teleop.protocol.guard import Event, ForceGuard
 from teleop.protocol.switches import MOST, SwitchEvents
-from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import EndRecord, end_columns
 from teleop.stages.operator import scheduled
-from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
-from teleop.sweeps.kernels.kernel import Kernel, figures, plain_kernel
 from tests.teleop.protocol.test_endpoint import MS, START, met
-from tests.teleop.sweeps.kernels.test_kernel import assert_as_a_run, inputs
 
 
 class Back(NamedTuple):
@@ -134,7 +130,7 @@ def test_one_that_is_never_opened_changes_no_bit() -> None:
 
 
 def test_a_small_slew_limit_holds_no_force_for_more_than_a_second_after_the_clutch_opened() -> None:
-    """The same bits in each engine, and live."""
+    """The same bits live; in each engine: `tests/engines`."""
     plan, law = Operator(clutch=((2.5, 4.0),), ramp=0.05), PositionPosition(K=1000.0)
     swung = load_scene("canonical", law=law, frequency=0.1, duration=4.0)
     slow = replace(swung, operator=plan, energy=True, observer=None, link=None, playout=None,
@@ -144,8 +140,6 @@ def test_a_small_slew_limit_holds_no_force_for_more_than_a_second_after_the_clut
     last = np.flatnonzero(size).max()
     assert 3545 < last < 2500 + 50 + 1000, "the ramp and a second"
     assert size[last] > 0.01, "which the slew limit still held"
-    one = plain_kernel(slow, exact_bodies(slow), MEASURES)
-    assert repr(rows(vector_kernel(slow, exact_bodies(slow), MEASURES), [slow])) == repr(rows(one, [slow]))
     by_device, events = driven(slow, SimulatedMaster(slow))
     assert by_device["f_m"].tobytes() == trace["f_m"].tobytes()
     assert any(event.what == "zero" for event in events)
@@ -191,30 +185,6 @@ def test_where_the_slave_is_held_back_it_stays_open() -> None:
     assert not run(scene(FAR, PositionPosition(), start_s=0.05, slave=held)).trace["f_m"].any()
     freely = replace(FAR, closes_within=None)
     assert run(scene(freely, PositionPosition(), start_s=0.05, slave=held)).trace["f_m"].any()
-
-
-# Engines
-
-MEASURES = ("x_err_rms", "f_m_max", "E_port_end", "drift_end")
-
-
-def rows(kernel: Kernel, scenes: list[Scene]) -> list[Any]:
-    return figures(kernel, [inputs(kernel, of, 1) for of in scenes])
-
-
-@pytest.mark.parametrize("engine", [pytest.param(scalar_kernel, marks=pytest.mark.soak), vector_kernel])
-def test_every_engine_gives_the_bits_of_a_run(engine: Any) -> None:
-    """Scenes with schedules of their own, some of a few spans and some of many, side by side."""
-    schedules = [Operator(clutch=bouncing(n, 2 + 2 * (n % 2)), absent=bouncing(20 + n, 2), ramp=0.004 * (n + 1),
-                          closes_within=0.002 * (n + 1))
-                 for n in range(9)]
-    scenes = [scene(each, PositionPosition(), duration=0.3, start_s=0.01, cap=Cap(f_max=3.0, slew=300.0))
-              for each in schedules]
-    for of in scenes[:2]:
-        assert_as_a_run(plain_kernel(of, exact_bodies(of), MEASURES), of)
-    first = scenes[1]
-    alone = rows(plain_kernel(first, exact_bodies(first), MEASURES), scenes)
-    assert repr(rows(engine(first, exact_bodies(first), MEASURES), scenes)) == repr(alone)
 
 
 # Live

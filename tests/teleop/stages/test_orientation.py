@@ -14,10 +14,6 @@ from slave.tissue import Tissue
 from teleop import PSPM, TDPA, FourChannel, MassDamper, PDamped, Scene, TwoLayer, Wave, WavePosition, fitted, run
 from teleop.laws.pp import PositionPosition
 from teleop.physics.rotation import exp, log, product
-from teleop.simulation.plan import link_plans
-from teleop.simulation.prepared import prepare
-from teleop.sweeps.engine import kernel_of
-from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, figures, path_of, tree_of
 from tests.teleop.stages.tumbling import apart, counted, orientations, tumbling
 
 ROUGH = parse_link("delay(0.01) | uniform(0.02) | bernoulli(0.1)")
@@ -150,19 +146,6 @@ def test_the_work_of_a_port_is_torque_times_the_motion_of_its_axes() -> None:
     for e in "ms":
         work = np.sum(trace[f"f_{e}"][:-1] * np.diff(trace[f"x_{e}"], axis=0), axis=1)
         assert trace[f"E_port_{e}"][-1] == pytest.approx(work.sum(), rel=1e-9)
-
-
-@pytest.mark.parametrize("engine", ["plain", "scalar", "vector"])
-def test_every_engine_gives_the_bits_of_a_single_run(engine: str) -> None:
-    scene = tumbling(law=WAVES["wave_position"], duration=0.5, observer=None)  # positions in messages and in a state
-    measures, one = ("f_m_max", "E_port_end"), run(scene)
-    prepared = prepare(scene)
-    kernel, flat = kernel_of(prepared, measures, engine)
-    assert kernel.engine == engine
-    row = RowInputs(tree_of(scene, prepared.bodies, compiled=False) if engine == "plain" else None, flat, scene.ticks,
-                 LinkSchedule.of(link_plans(scene, 0)), path_of(scene, compiled=engine != "plain"))
-    (_, _, got), = figures(kernel, [row])
-    assert got == {name: one.metrics[name] for name in measures}
 
 
 def test_two_rotations_are_counted_each_by_itself() -> None:

@@ -1,4 +1,4 @@
-"""A kernel gives what a single run gives, to the last bit: in plain Python and compiled, for every scene there is."""
+"""Kernels: what is compiled and what not, kept and never stale; the bits that they give are in `tests/engines`."""
 
 from __future__ import annotations
 
@@ -9,139 +9,66 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
 import pytest
 
-from channel.link import parse_link
 from scenarios.virtual_wall import scene as virtual_wall
-from slave.tissue import Tissue
+from slave.standard_linear_solid import StandardLinearSolid
 from slave.wall import Wall
-from teleop import At, Scene, load_scene, run
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.scene.library import ROOT, built_in_scenes
-from teleop.simulation.bodies import exact_bodies, reference_samples
-from teleop.simulation.plan import link_plans
-from teleop.stages.device import Device
-from teleop.stages.encoder import Encoder
-from teleop.stages.force_cap import Cap
-from teleop.stages.velocity.low_pass import LowPass
-from teleop.stages.watchdog import Watchdog
+from teleop import At, load_scene, run
+from teleop.laws.direct import Back, Direct, Forth
+from teleop.physics.carried import at_rest, carried, is_carried
+from teleop.physics.plant import MassDamper, free_space
+from teleop.scene.library import ROOT
+from teleop.simulation.bodies import exact_bodies, with_inner
+from teleop.sweeps.chunk import Job, work
 from teleop.sweeps.kernels import compiled
 from teleop.sweeps.kernels.compiled import NotCompiled, module_text
-from teleop.sweeps.kernels.engines import SCALAR, scalar_kernel
-from teleop.sweeps.kernels.kernel import (
-    Kernel,
-    LinkSchedule,
-    RowInputs,
-    available,
-    figures,
-    kernel_lines,
-    leaves,
-    plain_kernel,
-    tree_of,
-)
-
-ROUGH = "delay(0.01) | uniform(0.01) | bernoulli(0.1) ; delay(0.02)"
-SHORT = 0.4  # s
+from teleop.sweeps.kernels.engines import SCALAR, VECTOR, scalar_kernel
+from teleop.sweeps.kernels.kernel import kernel_lines
+from teleop.sweeps.runner import plan_sweep
+from tests.engines.engines import kernel_rows
 
 
-def scene(name: str, folder: Path, **knobs: Any) -> Scene:
-    if name == "lte":
-        (folder / "trace").write_text("".join(f"{ms}\n" for ms in range(1, 50)))
-        knobs |= {"up": folder / "trace", "down": folder / "trace"}
-    return replace(load_scene(name, **knobs), duration=SHORT)
+def test_figures_that_are_not_asked_for_have_no_lines() -> None:
+    of = load_scene("canonical", energy=True)
+    assert "force_s0" not in kernel_lines(of, ("x_err_max",)).text()
+    assert "force_s0" in kernel_lines(of, ("f_env_max",)).text()
+    assert "old_x" not in kernel_lines(of, ("f_m_max",)).text()
 
 
-def row(kernel: Kernel, of: Scene, seed: int) -> tuple[str, int, dict[str, float]]:
-    """What one row of a sweep comes to."""
-    return figures(kernel, [inputs(kernel, of, seed)])[0]
+def test_a_kernel_of_lanes_holds_only_what_the_scene_names() -> None:
+    of = replace(load_scene("free_motion", link="none"), energy=False)
+    text, _ = module_text(of, exact_bodies(of), ("x_err_rms",), VECTOR)
+    assert "move_free" in text
+    for line in ("move_wall", "E_port", "packet(", "watch(", "f_err", "newest"):
+        assert line not in text.partition("def loop")[2]
 
 
-def inputs(kernel: Kernel, of: Scene, seed: int) -> RowInputs:
-    """What the kernel is given for a row."""
-    schedule, bodies, path = LinkSchedule.of(link_plans(of, seed)), exact_bodies(of), reference_samples(of)
-    if kernel.engine == "plain":
-        return RowInputs(tree_of(of, bodies, compiled=False), None, of.ticks, schedule, path)
-    arrays = tuple(np.asarray(axis) for axis in path or ())
-    return RowInputs(None, leaves(tree_of(of, bodies)), of.ticks, schedule, arrays)
+def test_the_engine_of_a_few_rows_is_another_than_that_of_many() -> None:
+    def chosen(rows: int, seconds: float) -> str:
+        return plan_sweep("canonical", {"k_e": [1e3 + n for n in range(rows)]}, fixed={"duration": seconds}).engine
+
+    assert [chosen(8, 600.0), chosen(400, 10.0), chosen(400, 0.1)] == ["scalar", "vector", "plain"]
 
 
-def assert_as_a_run(kernel: Kernel, of: Scene, seed: int = 3) -> None:
-    single = run(of, seed=seed)
-    assert row(kernel, of, seed) == (
-        single.status, single.ticks, {name: single.metrics[name] for name in kernel.measures if name in single.metrics})
+def test_what_moves_in_the_same_kind_of_environment_is_the_same_part() -> None:
+    """Or every row of a sweep would have a kernel of its own."""
+    one, other = (load_scene("beating_heart", k_e=k) for k in (100.0, 200.0))
+    assert exact_bodies(one).functions() == exact_bodies(other).functions()
+    free = free_space(one.master, 1e-3)
+    assert with_inner(free).move is with_inner(free._replace(c=(1.0,) * 4)).move
 
 
-HARD = Wall(k=2e4, d=10.0, at=0.004)
-MORE = {
-    "rough link, energy": lambda: replace(load_scene("canonical", link=ROUGH, energy=True), duration=SHORT),
-    "diverges": lambda: replace(load_scene("canonical", law=Direct(kf=50.0, K=3000.0)), duration=2.0, x_limit=10.0),
-    "diverges late over a rough link": lambda: replace(
-        load_scene("canonical", law=Direct(kf=50.0, K=3000.0), link=ROUGH), duration=2.0, x_limit=1.0),
-    "overflows": lambda: replace(load_scene("canonical", law=Direct(kf=1e308)), duration=SHORT, start_s=0.05),
-    "three axes": lambda: Scene(
-        law=PFRA(alpha=0.3), master=load_scene("canonical").master, slave=load_scene("canonical").slave, axes=3,
-        environment=(HARD, None, Tissue(k=200.0, d=1.0)), hand=load_scene("recorded_reach").hand, energy=True,
-        link=parse_link(ROUGH), duration=SHORT),
-    "eleven axes, of which two begin with the same digit": lambda: Scene(
-        law=PFRA(alpha=0.3), master=load_scene("canonical").master, slave=load_scene("canonical").slave, axes=11,
-        hand=load_scene("canonical").hand, link=parse_link(ROUGH), duration=0.1),
-    "devices": lambda: replace(
-        load_scene("canonical", law=PFRA(alpha=0.2)), duration=SHORT, cap=Cap(f_max=3.0, slew=500.0),
-        watchdog=Watchdog(timeout=0.02), device_m=Device(encoder=Encoder(step=1e-4), velocity=LowPass(cutoff=40.0),
-                                                         every=3, delay=2)),
-    "limits": lambda: replace(
-        load_scene("canonical", law=Direct(), link=ROUGH, energy=True), duration=SHORT,
-        cap=Cap(f_max=5.0, slew=2000.0, v_max=0.2, power=0.01), watchdog=Watchdog(timeout=0.012, settle=0.02)),
-    "limits, not a number": lambda: replace(
-        load_scene("canonical", law=Direct(kf=1e308)), duration=SHORT, start_s=0.05, cap=Cap(f_max=9.0, power=1e-3)),
-}
+def test_a_carried_plant_knows_the_one_that_it_carries() -> None:
+    body = MassDamper(mass=0.5)
+    for still in (Wall(k=1e3, d=1.0).plant(body, 1e-3), StandardLinearSolid(k=1.0, k1=2.0, tau=0.1).plant(body, 1e-3)):
+        assert not is_carried(still)
+        moving = carried(still, [0.0, 0.1, 0.0], body, 1e-3)
+        assert is_carried(moving)
+        assert at_rest(moving) == still
 
 
-class TestInPlainPython:
-    @pytest.mark.parametrize("name", built_in_scenes())
-    def test_every_scenes_row_is_its_run(self, name: str, tmp_path: Path) -> None:
-        of = scene(name, tmp_path)
-        assert_as_a_run(plain_kernel(of, exact_bodies(of), sorted(available(of))), of)
-
-    @pytest.mark.parametrize("name", MORE)
-    def test_and_that_of_others(self, name: str) -> None:
-        of = MORE[name]()
-        assert_as_a_run(plain_kernel(of, exact_bodies(of), sorted(available(of))), of)
-
-    def test_figures_that_are_not_asked_for_have_no_lines(self) -> None:
-        of = load_scene("canonical", energy=True)
-        assert "force_s0" not in kernel_lines(of, ("x_err_max",)).text()
-        assert "force_s0" in kernel_lines(of, ("f_env_max",)).text()
-        assert "old_x" not in kernel_lines(of, ("f_m_max",)).text()
-
-
-class TestCompiled:
-    @pytest.mark.parametrize("name", ["canonical", "recorded_reach", "encoder_wall", "virtual_coupling", "jittery_wan"])
-    def test_every_engine_agrees_to_the_last_bit(self, name: str, tmp_path: Path) -> None:
-        of = scene(name, tmp_path)
-        assert_as_a_run(scalar_kernel(of, exact_bodies(of), sorted(available(of))), of)
-
-    @pytest.mark.parametrize("name", ["rough link, energy", "diverges late over a rough link", "overflows", "devices",
-                                      "limits", "limits, not a number"])
-    def test_on_random_links_and_where_a_run_ends_early(self, name: str) -> None:
-        of = MORE[name]()
-        kernel = scalar_kernel(of, exact_bodies(of), sorted(available(of)))
-        for seed in range(5):
-            assert_as_a_run(kernel, of, seed)
-
-    def test_one_kernel_serves_every_number(self) -> None:
-        of = replace(virtual_wall(), duration=SHORT)
-        kernel = scalar_kernel(of, exact_bodies(of), ("f_m_max",))
-        for K, dt in ((100.0, 1e-3), (5000.0, 1e-3), (5000.0, 3e-4)):
-            assert_as_a_run(kernel, replace(of, law=replace(of.law, K=K), dt=dt))
-
-    def test_what_another_process_cannot_find_is_not_compiled(self) -> None:
-        of = replace(load_scene("canonical"), law=Local(), duration=SHORT)
-        bodies = exact_bodies(of)._replace(instead={"move_s0": lambda *rest: (*rest[1:3], 0)})
-        with pytest.raises(NotCompiled, match="made during the run"):
-            scalar_kernel(of, bodies, ("x_err_max",))
+# What is not compiled
 
 
 class Nothing(NamedTuple):
@@ -155,14 +82,121 @@ class Local:
     def master_start(self, at: At) -> Any:
         return (), Nothing(at.x)
 
-    def slave_start(self, at: At) -> Any:
-        return (), Nothing(at.x)
+    slave_start = master_start
 
     def master(self, s: Any, at: At, rx: Nothing) -> Any:
         return 0.0 * rx.x, Nothing(at.x), s
 
-    def slave(self, s: Any, at: At, rx: Nothing) -> Any:
-        return 0.0 * rx.x, Nothing(at.x), s
+    slave = master
+
+
+def test_what_another_process_cannot_find_is_not_compiled() -> None:
+    of = load_scene("canonical", law=Local(), duration=0.1)
+    bodies = exact_bodies(of)._replace(instead={"move_s0": lambda *rest: (*rest[1:3], 0)})
+    with pytest.raises(NotCompiled, match="made during the run"):
+        scalar_kernel(of, bodies, ("x_err_max",))
+
+
+GAINS = (1.0, 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lists(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        return sum([gain * rx.x for gain in GAINS]) - self.K * at.x - self.B * at.v, Back(at.f), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Powers(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        return self.K * (rx.x - at.x)**3 - self.B * at.v, Back(at.f), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Waits(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        return self.K * (rx.x - at.x) * (not at.fresh) - self.B * at.v, Back(at.f), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counts(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        return self.K * (rx.x - at.x) - self.B * at.v, Back(at.v > 0.0), s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loops(Direct):
+    def slave(self, s: Any, at: At, rx: Forth) -> Any:
+        f_s = 0.0
+        for _ in range(2):
+            f_s = f_s + 0.5 * self.K * (rx.x - at.x)
+        return f_s - self.B * at.v, Back(at.f), s
+
+
+@pytest.mark.parametrize(("law", "engine", "why"), [
+    (Loops(), "scalar", "Loops.slave has a loop"), (Powers(), "plain", "`**` with a whole number"),
+    *[pytest.param(*each, marks=pytest.mark.full) for each in (
+        (Lists(), "scalar", "a comprehension"), (Waits(), "vector scalar", ""), (Counts(), "vector scalar plain", ""))],
+], ids=lambda value: type(value).__name__ if isinstance(value, Direct) else "")
+def test_a_law_that_cannot_be_compiled_runs_otherwise_with_the_same_bits(law: Any, engine: str, why: str) -> None:
+    """Each row with a schedule of its own: another kernel over lanes, compiled when it is needed."""
+    rows = [(n, {"k_e": 100.0 + n}, n) for n in range(9)]
+    fixed = {"law": law, "duration": 0.1, "link": "delay(0.005) | bernoulli(0.3)", "energy": False}
+    done = [work(Job("canonical", fixed, rows, ("x_err_rms", "f_m_max"), each))
+            for each in ("plain", "vector", "vector")]  # the third finds the kernel made
+    assert repr(done[0].rows) == repr(done[1].rows) == repr(done[2].rows)
+    for each in done[1:]:
+        ((ran, reason), count), = each.ran.items()
+        assert (ran in engine.split(), why in reason, count) == (True, True, 9), (ran, reason)
+
+
+# Scenes, laws and bodies of a user's
+
+
+OWN = """
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+from teleop import Plant, Scene, load_scene
+
+class Word(NamedTuple):
+    x: float
+
+@dataclass(frozen=True, kw_only=True)
+class Mine:
+    K: float = 100.0
+    claims: ClassVar[dict[str, str]] = {}
+    def master_start(self, at): return (), Word(at.x)
+    def slave_start(self, at): return (), Word(at.x)
+    def master(self, s, at, rx): return self.K * (at.x - rx.x), Word(at.x), s
+    def slave(self, s, at, rx): return self.K * (rx.x - at.x) - 4.0 * at.v, Word(at.x), s
+
+def move(c, x, v, f):
+    k, table = c
+    return x + 1e-3 * v, v + 1e-3 * (f - k * table[1] * x - 2.0 * v), 0
+
+def force(c, x, v):
+    return c[0] * c[1][1] * x
+
+@dataclass(frozen=True, kw_only=True)
+class Springs:
+    k: float
+    def plant(self, body, dt): return Plant(move, force, (1.0, [0.0, self.k]))
+    def resistance(self): raise NotImplementedError
+
+def scene(*, k: float = 10.0, law: object = Mine()) -> Scene:
+    return replace(load_scene("canonical", duration=0.2), law=Mine(), environment=Springs(k=k))
+"""
+
+
+def test_a_law_and_a_body_of_a_scene_file_are_compiled_and_each_row_has_its_own_lists(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    rows = [(n, {"k": 5.0 * n}, 0) for n in range(9)]
+    done = {one: work(Job(str(tmp_path / "own.py"), {}, rows, ("x_err_rms", "f_s_max"), one))
+            for one in ("vector", "plain")}
+    assert repr(done["vector"].rows) == repr(done["plain"].rows)
+    assert len({row["f_s_max"] for row in done["vector"].rows}) == 9
+    ((ran, _), _), = done["vector"].ran.items()
+    assert ran == "scalar"
 
 
 LAW = '''
@@ -189,35 +223,50 @@ from teleop import Scene, load_scene
 def scene(*, duration: float = 0.2) -> Scene:
     return replace(load_scene("virtual_wall", energy=False), law=Mine(), duration=duration)
 """
+
+
 PROGRAM = """
+import sys
 from teleop import load_scene, run
+from teleop.simulation.bodies import exact_bodies
 from teleop.sweeps.chunk import Job, work
-done = work(Job("./own.py", {}, [(0, {}, 1)], ("f_m_max",), "scalar"))
-single = run(load_scene("./own.py"), seed=1)
-assert list(done.ran) == [("scalar", "")], done.ran
-assert done.rows[0]["f_m_max"] == single.metrics["f_m_max"], (done.rows, single.metrics)
-print(repr(done.rows[0]["f_m_max"]))
+from teleop.sweeps.kernels.compiled import module_text
+from teleop.sweeps.kernels.engines import SCALAR
+of = load_scene("./own.py")
+print(module_text(of, exact_bodies(of), ("f_m_max",), SCALAR)[1])
+if "run" in sys.argv:
+    done = work(Job("./own.py", {}, [(0, {}, 1)], ("f_m_max",), "scalar"))
+    assert list(done.ran) == [("scalar", "")], done.ran
+    assert done.rows[0]["f_m_max"] == run(of, seed=1).metrics["f_m_max"], done.rows
 """
+
+
+def in_process(folder: Path, *words: str) -> subprocess.Popen[str]:
+    """A Python there, with a cache of its own."""
+    return subprocess.Popen(
+        [sys.executable, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{folder}", "XDG_CACHE_HOME": str(folder / "cache"),
+             "PYTHONDONTWRITEBYTECODE": "1"})
+
+
+def output(process: subprocess.Popen[str]) -> str:
+    """What it prints, once it has ended well."""
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    return out
 
 
 def test_an_edited_law_is_never_served_stale(tmp_path: Path) -> None:
     """Not even when something was edited that a function below it names, which numba's own cache does not see."""
-    said = []
+    names = []
     (tmp_path / "own.py").write_text(SCENE)
-    edits = (50.0, 1.0, 1.0), (70.0, 1.0, 1.0), (50.0, 1.0, 1.0), (50.0, 2.0, 1.0), (50.0, 1.0, 3.0)
-    for factor, part, gain in edits:
+    for factor, part, gain, way in ((50.0, 1.0, 1.0, "run"), (70.0, 1.0, 1.0, ""), (50.0, 1.0, 1.0, ""),
+                                    (50.0, 2.0, 1.0, ""), (50.0, 1.0, 3.0, "run")):
         (tmp_path / "mine.py").write_text(LAW.replace("{factor}", str(factor)).replace("{tuple}", str(part)))
         (tmp_path / "gains.py").write_text(f"G = {gain}")
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM], cwd=tmp_path, capture_output=True, text=True, check=False,
-            env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}", "XDG_CACHE_HOME": str(tmp_path / "cache"),
-                 "PYTHONDONTWRITEBYTECODE": "1"},
-        )
-        assert done.returncode == 0, done.stderr
-        said.append(done.stdout)
-    assert said[0] == said[2]
-    assert len(set(said)) == 4  # the function, a tuple beside it, and another module of the user's own
-    assert len(list((tmp_path / "cache/bilateral-teleop/kernels").glob("teleop_kernel_*.py"))) == 4
+        names.append(output(in_process(tmp_path, "-c", PROGRAM, way)))
+    assert names[0] == names[2]
+    assert len(set(names)) == 4  # the function, a tuple beside it, and another module of the user's own
 
 
 def test_a_folder_that_cannot_be_written_to_leaves_the_kernel_in_memory(
@@ -225,10 +274,12 @@ def test_a_folder_that_cannot_be_written_to_leaves_the_kernel_in_memory(
 ) -> None:
     (tmp_path / "taken").write_text("a file where the folder should be")
     monkeypatch.setattr(compiled, "folder", lambda: tmp_path / "taken" / "kernels")
-    of = replace(virtual_wall(b=0.81), duration=0.05)
-    text, name = module_text(of, exact_bodies(of), ("f_m_max", "E_port_end"), SCALAR)
+    of, measures = replace(virtual_wall(b=0.81), duration=0.05), ("E_port_end", "f_m_max")
+    text, name = module_text(of, exact_bodies(of), measures, SCALAR)
     sys.modules.pop(f"teleop_kernel_{name}", None)
-    assert_as_a_run(scalar_kernel(of, exact_bodies(of), ("f_m_max", "E_port_end")), of)
+    single = run(of)
+    assert kernel_rows("scalar", [of], measures=measures) == [
+        (single.status, single.ticks, {name: single.metrics[name] for name in measures})]
     assert "def loop(" in text
 
 
@@ -264,19 +315,22 @@ print(carry_out(plan).counts(), dict(plan.ran))
 
 def test_a_law_in_the_users_own_script_is_compiled_too(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(SCRIPT)
-    done = subprocess.run(
-        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")},
-    )
-    assert done.stdout == "{'ok': 2} {('scalar', ''): 2}\n"
+    assert output(in_process(tmp_path, "script.py")) == "{'ok': 2} {('scalar', ''): 2}\n"
 
 
 def test_processes_that_make_the_same_kernel_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(SMALL)
-    env = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    at_once = [subprocess.Popen([sys.executable, "script.py"], cwd=tmp_path, env=env, stdout=subprocess.PIPE, text=True)
-               for _ in range(3)]
-    assert {one.communicate()[0] for one in at_once} == {"{'ok': 2} {('scalar', ''): 2}\n"}
+    at_once = [in_process(tmp_path, "script.py") for _ in range(2)]
+    assert {output(each) for each in at_once} == {"{'ok': 2} {('scalar', ''): 2}\n"}
     left = sorted(path.name for path in (tmp_path / "cache/bilateral-teleop/kernels").iterdir())
     assert sum(name.endswith(".py") for name in left) == 1
     assert not any(name.endswith(".part") for name in left)
+
+
+def test_a_recorded_hand_that_was_recorded_anew_moves_anew(tmp_path: Path) -> None:
+    told = []
+    for x in (0.01, 0.05):
+        (tmp_path / "hand.csv").write_text(f"t,x\n0,0\n1,{x}\n")
+        rows = [(0, {"motion": str(tmp_path / "hand.csv"), "duration": 0.5}, 0)]
+        told.append(work(Job("recorded_reach", {}, rows, ("x_err_max",), "plain")).rows[0])
+    assert told[0]["x_err_max"] != told[1]["x_err_max"]

@@ -1,0 +1,103 @@
+"""One table: what each engine makes of each structure, law and stage has the bits of a single run.
+
+    tick     the loop that is made of the tick, beside the tick as it stands
+    plain    a kernel in plain Python, beside single runs
+    scalar   that kernel compiled for one scene at a time, beside the plain one
+    alike    compiled for eight side by side that share link and path
+    apart    the same, each with a link and a path of its own
+    stepped  two ends with their protocol, stepped in one process, beside a single run
+
+x: in the ordinary suite, f: with `-m full`, -: the engine refuses such a scene, blank: not held here. Kernels are kept
+in the user's cache folder, so each is compiled once.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from teleop import Refused
+from teleop.scene.library import built_in_scenes
+from teleop.sweeps.kernels.kernel import NotVectorised
+from tests.engines.cases import CASES
+from tests.engines.engines import (
+    assert_as_it_stands,
+    assert_as_plain,
+    assert_as_runs,
+    assert_stepped,
+    plain_rows,
+    scenes_of,
+)
+
+TABLE = """
+                                        tick  plain  scalar  alike  apart  stepped
+waves by their integral                 x     x      x       f      x      x
+waves of three axes                     f     f      f       f      f      f
+waves, ticks left out                   x     f      f              f      -
+waves, energy                           f     x      f              f      f
+waves, energy, ticks left out           f     f      f              f      -
+waves, fixed                            f     x      f              f      f
+waves, fixed, ticks left out            f     f      f              f      -
+waves, scaled, ticks left out           f     f      f              f      -
+forces that diverge                     f     x      f       f      f      x
+forces that diverge, constant delays    f     f      f       f      f      f
+limits, devices and a watchdog          x     x      x       f      x      x
+ticks left out                          x     x      f       x      f      -
+a one-port                              x     x      x       x      f      -
+a user's law, a clutch and gaps         x     x      x       f      x      x
+a user's law in two axes                f     f      f       f      f      f
+a clutch and a small slew limit         f     f      f       f             f
+a deadband                              x     x      f       f      f      -
+stages around a law                     f     x      f       f      f      f
+a coupling with branches                f     f      f       f      f      -
+axes of their own                       x     x      x       f      f      x
+eleven axes                             f     f      f                     f
+coupled axes without a link             x     x      f       f      f      f
+rotations                               x     x      x       f      f      x
+six axes                                f     f      f              f      f
+friction                                x     x      x       -      -      f
+soft and relaxing bodies that move      x     x      x       -      -      f
+relaxing, moved and none                f     f      f       -      -      f
+windows of readings                     x     x      x                     f
+end fit, friction                       f     f      f                     -
+best fit, electrical damping            f     f      f                     -
+end fit of one reading                  f     f      f                     -
+levant                                  f     f      f                     -
+"""
+HEAD, *LINES = TABLE.strip("\n").splitlines()
+PLACES = {engine: HEAD.index(engine) for engine in HEAD.split()}
+CELLS = {(line[:40].strip(), engine): line[place:place + 1].strip()
+         for line in LINES for engine, place in PLACES.items()}
+COMPILED = ("canonical", "recorded_reach", "encoder_wall", "virtual_coupling", "jittery_wan")
+CELLS |= {(name, engine): "f" for name in built_in_scenes() if name != "lte" for engine in ("tick", "plain")}
+CELLS |= {(name, "scalar"): "f" for name in COMPILED}
+RUN = [pytest.param(name, engine, id=f"{engine}-{name.replace(' ', '_')}", marks=[pytest.mark.full] * (cell == "f"))
+       for (name, engine), cell in CELLS.items() if cell in ("x", "f")]
+
+
+def test_the_table_has_every_case() -> None:
+    assert {name for name, _ in CELLS} == {*CASES}
+    assert {*CELLS.values()} == {"x", "f", "-", ""}
+
+
+@pytest.mark.parametrize(("name", "engine"), RUN)
+def test_an_engine_gives_the_bits_of_a_single_run(name: str, engine: str) -> None:
+    if engine in ("scalar", "alike", "apart"):
+        pytest.importorskip("numba")
+        assert_as_plain(name, engine)
+    else:
+        {"tick": assert_as_it_stands, "plain": assert_as_runs, "stepped": assert_stepped}[engine](name)
+
+
+@pytest.mark.parametrize(("name", "engine"), [cell for cell, mark in CELLS.items() if mark == "-"])
+def test_an_engine_refuses_what_it_cannot_run(name: str, engine: str) -> None:
+    with pytest.raises(Refused if engine == "stepped" else NotVectorised):
+        (assert_stepped(name) if engine == "stepped" else assert_as_plain(name, engine))
+
+
+@pytest.mark.parametrize("name", [name for name, engine in CELLS if engine == "plain" and CELLS[name, engine] == "x"])
+def test_scenes_of_a_case_differ(name: str) -> None:
+    rows = plain_rows(name)
+    assert len({repr(row) for row in rows}) == len(scenes_of(name)) > 1
+    assert "ok" in {status for status, *_ in rows}
+    if name in ("forces that diverge", "limits, devices and a watchdog"):
+        assert "diverged" in {status for status, *_ in rows}
