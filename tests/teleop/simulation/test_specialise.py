@@ -12,6 +12,8 @@ from functools import reduce
 from importlib import import_module
 from operator import add
 from pathlib import Path
+from textwrap import dedent, indent
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
@@ -97,10 +99,8 @@ class TestWhatItMakes:
         assert "y_m0 * 2.0 * 3.0" in text(whole, End(Has(encoder=True)))
 
     def test_leaves_arithmetic_as_it_is(self) -> None:
-        def sums(e: End, x: Any) -> Any:
-            return x + (0.1 + 0.2) + 0.3 * (1.0 - 1.0)
-
-        assert "return x + (0.1 + 0.2) + 0.3 * (1.0 - 1.0)" in nested_text(sums)
+        line = "return x + (0.1 + 0.2) + 0.3 * (1.0 - 1.0)"
+        assert line in text(body(line))
 
     def test_adds_from_left_to_right(self) -> None:
         assert "return x_m0 + x_m1 + x_m2" in text(added, End(axes=3))
@@ -131,106 +131,58 @@ def asks(e: End, x: float) -> Any:
     return e.law(x)
 
 
-def nested_text(function: Callable[..., Any]) -> str:
-    """As `text`, of a function that stands in a test: what its module's source has at that line."""
-    import inspect
-    import textwrap
-    from types import ModuleType
+def body(lines: str) -> Callable[..., Any]:
+    """A function over an end of these lines, with its source."""
+    source = "def made(e, x):\n" + indent(dedent(lines).strip("\n"), "    ") + "\n"
+    module = ModuleType(f"made_{len(source)}_{hash(source)}")
 
     class Loader:
-        def get_source(self, name: str) -> str:
-            return textwrap.dedent(inspect.getsource(function))
+        def get_source(self, _: str) -> str:
+            return source
 
-    module = ModuleType(f"made_{function.__qualname__}")
-    source = Loader().get_source("")
-    exec(compile(source, "made.py", "exec"), {**globals(), "__name__": module.__name__}, vars(module))
-    module.__loader__ = Loader()  # type: ignore[assignment]
+    module.__dict__.update(globals(), __name__=module.__name__, __loader__=Loader())
+    exec(compile(source, __file__, "exec"), vars(module))
     sys.modules[module.__name__] = module
-    return text(vars(module)[function.__name__])
+    made: Callable[..., Any] = vars(module)["made"]
+    return made
 
 
-def refusal(function: Callable[..., Any]) -> str:
-    with pytest.raises(NotSpecialised) as refused:
-        nested_text(function)
-    return str(refused.value)
-
-
-class TestItRefuses:
-    def test_break_in_a_loop_that_is_unrolled(self) -> None:
-        def first(e: End, x: float) -> None:
-            for k in range(9):
-                for a in e.axes:
-                    if x > k:
-                        break
-                    a.x = x
-
-        assert "`break` stands in a loop that is unrolled" in refusal(first)
-
-    def test_continue_there_as_well(self) -> None:
-        def first(e: End, x: float) -> None:
-            for a in e.axes:
-                if x > 0.0:
-                    continue
-                a.x = x
-
-        assert "`continue` stands in a loop that is unrolled" in refusal(first)
-
-    def test_a_record_that_escapes_into_a_list(self) -> None:
-        def escapes(e: End, kept: Any) -> None:
-            kept.append(e)
-
-        assert "escapes" in refusal(escapes)
-
-    def test_a_record_that_escapes_as_an_answer(self) -> None:
-        def escapes(e: End, x: float) -> Any:
-            return e
-
-        assert "End m escapes" in refusal(escapes)
-
-    def test_a_feature_that_is_misspelt(self) -> None:
-        def misspelt(e: End, x: float) -> Any:
-            return 1.0 if e.has.encodr else x  # type: ignore[attr-defined]
-
-        assert "Has has no encodr" in refusal(misspelt)
-
-    def test_a_field_that_no_class_declares(self) -> None:
-        def misspelt(e: End, x: float) -> Any:
-            e.totl = x  # type: ignore[attr-defined]
-
-        assert "End declares no variable totl" in refusal(misspelt)
-
-    def test_an_answer_that_depends_on_a_number(self) -> None:
-        assert "may not return" in refusal_of(asks_sign)
-
-    def test_lines_of_their_own_in_the_midst_of_an_expression(self) -> None:
-        assert "stands in the midst of an expression" in refusal_of(asks_in_midst)
-
-    def test_a_function_that_calls_itself(self) -> None:
-        assert "calls itself" in refusal_of(itself)
-
-    def test_a_name_that_stands_for_an_axis_and_then_another(self) -> None:
-        def twice(e: End, x: float) -> None:
-            for k in range(3):
-                a = e.axes[0]
-                a.x = x + k
-
-        assert "cannot be set under a condition of numbers, or in a loop that stays one" in refusal(twice)
-
-    def test_what_is_not_for_the_tick(self) -> None:
-        def guarded(e: End, x: float) -> None:
-            try:
-                e.total = x
-            finally:
-                pass
-
-        assert "Try is not for the tick" in refusal(guarded)
-
-
-def refusal_of(function: Callable[..., Any]) -> str:
-    with pytest.raises(NotSpecialised) as refused:
-        text(function)
-    assert str(refused.value).startswith(f"{__file__}:")
-    return str(refused.value)
+REFUSED = {
+    """
+    for k in range(9):
+        for a in e.axes:
+            if x > k:
+                break
+            a.x = x
+    """: "`break` stands in a loop that is unrolled",
+    """
+    for a in e.axes:
+        if x > 0.0:
+            continue
+        a.x = x
+    """: "`continue` stands in a loop that is unrolled",
+    "x.append(e)": "escapes",
+    "return e": "End m escapes",
+    "return 1.0 if e.has.encodr else x": "Has has no encodr",
+    "e.totl = x": "End declares no variable totl",
+    """
+    e.total = sign(e, x)
+    return e.total
+    """: "may not return",
+    "return x + with_lines(e, x)": "stands in the midst of an expression",
+    "itself(e, x)": "calls itself",
+    """
+    for k in range(3):
+        a = e.axes[0]
+        a.x = x + k
+    """: "cannot be set under a condition of numbers, or in a loop that stays one",
+    """
+    try:
+        e.total = x
+    finally:
+        pass
+    """: "Try is not for the tick",
+}
 
 
 def sign(e: End, x: float) -> float:
@@ -239,22 +191,21 @@ def sign(e: End, x: float) -> float:
     return -1.0
 
 
-def asks_sign(e: End, x: float) -> float:
-    e.total = sign(e, x)
-    return e.total
-
-
 def with_lines(e: End, x: float) -> float:
     e.total = x
     return e.total
 
 
-def asks_in_midst(e: End, x: float) -> float:
-    return x + with_lines(e, x)
-
-
 def itself(e: End, x: float) -> None:
     itself(e, x)
+
+
+@pytest.mark.parametrize("lines", REFUSED)
+def test_what_is_not_for_the_tick_is_refused_with_its_place(lines: str) -> None:
+    with pytest.raises(NotSpecialised) as refused:
+        text(body(lines))
+    assert REFUSED[lines] in str(refused.value)
+    assert str(refused.value).startswith(f"{__file__}:")
 
 
 class TestNames:

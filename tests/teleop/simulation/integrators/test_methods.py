@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 from collections.abc import Callable
+from itertools import product
 from math import inf, sqrt
 
 import numpy as np
@@ -11,14 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from teleop import load_scene, run
 from teleop.errors import Refused
 from teleop.physics.contact import wall
 from teleop.physics.plant import MassDamper, Plant, free_space, grip, move_free, move_gripped, spring_damper
-from teleop.scene.loading import load_scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch
-from teleop.simulation.integrators.stepped import method_bodies, stepped, sub_step, touch_of
-from teleop.simulation.virtual import run
+from teleop.simulation.integrators.stepped import bodies_of, method_bodies, stepped, sub_step, touch_of
 
 BY_NAME = {method.name: method for method in METHODS}
 G = 1.0 - sqrt(0.5)
@@ -46,20 +46,19 @@ def matrix(method: IntegrationMethod, touch: Touch, h: float) -> np.ndarray:
 # Where nothing is touched or let go
 
 
-@pytest.mark.parametrize("name", STABILITY)
-@pytest.mark.parametrize("h", [1e-3, 0.02, 0.3])
-def test_a_mode_is_multiplied_by_the_published_stability_function(name: str, h: float) -> None:
+def test_a_mode_is_multiplied_by_the_published_stability_function() -> None:
     touch = bonded()
     root = cmath.sqrt((touch.b + touch.d) ** 2 - 4 * touch.m * touch.k)
     modes = [(-(touch.b + touch.d) + sign * root) / (2 * touch.m) for sign in (1, -1)]
-    got = np.sort_complex(np.linalg.eigvals(matrix(BY_NAME[name], touch, h)))
-    want = np.sort_complex(np.array([STABILITY[name](h * mode) for mode in modes]))
-    np.testing.assert_allclose(got, want, rtol=1e-10)
+    for (name, function), h in product(STABILITY.items(), (1e-3, 0.02, 0.3)):
+        got = np.sort_complex(np.linalg.eigvals(matrix(BY_NAME[name], touch, h)))
+        want = np.sort_complex(np.array([function(h * mode) for mode in modes]))
+        np.testing.assert_allclose(got, want, rtol=1e-10, err_msg=f"{name}, {h} s")
 
 
-@pytest.mark.parametrize("name", ["semi_implicit_euler", "verlet"])
-def test_the_split_methods_keep_area_where_nothing_damps(name: str) -> None:
-    assert np.linalg.det(matrix(BY_NAME[name], bonded(b=0.0, d=0.0), 0.01)) == pytest.approx(1.0, abs=1e-13)
+def test_the_split_methods_keep_area_where_nothing_damps() -> None:
+    for name in ("semi_implicit_euler", "verlet"):
+        assert np.linalg.det(matrix(BY_NAME[name], bonded(b=0.0, d=0.0), 0.01)) == pytest.approx(1.0, abs=1e-13), name
 
 
 @every_method
@@ -230,3 +229,41 @@ def test_an_environment_without_a_known_equation_is_refused() -> None:
     odd = free_space(BODY, 1e-3)._replace(move=my_move)
     with pytest.raises(Refused, match=r"my_move, so no fixed-step method can; take walls"):
         touch_of(odd, BODY)
+
+
+# By name, as `teleop run --bodies` takes them
+
+
+SHORT = load_scene("hard_wall", duration=1.0)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
+def test_every_method_goes_by_the_name_that_precision_prints(method: IntegrationMethod) -> None:
+    assert bodies_of(SHORT, f"{method.name}:3").numbers() == method_bodies(SHORT, method, 3).numbers()
+
+
+@pytest.mark.parametrize("text", ["semi-implicit:2", "semi_implicit:2", "semi-implicit-euler:2", "semi:2"])
+def test_a_beginning_that_no_other_method_has_is_enough(text: str) -> None:
+    assert bodies_of(SHORT, text).method == "semi_implicit_euler:2"
+
+
+def test_exact_bodies_are_the_run_as_it_is_without_the_option() -> None:
+    plain, exact, other = (run(SHORT, bodies=bodies) for bodies in (None, "exact", "euler:1"))
+    assert exact.trace["x_s"].tobytes() == plain.trace["x_s"].tobytes() != other.trace["x_s"].tobytes()
+    assert exact.summary() == plain.summary()
+    assert "bodies" not in plain.summary()
+
+
+@pytest.mark.parametrize(("text", "why"), [
+    ("rk4", "sub-steps"), ("rk4:", "sub-steps"), ("rk4:0", "sub-steps"), ("rk4:-1", "sub-steps"),
+    ("rk4:1e3", "sub-steps"), ("rk4:1000001", "sub-steps"), ("exact:2", "names no integrator"), (":4", "names no"),
+    ("r:1", "names no integrator"), ("rk5:1", "did you mean rk4"),
+])
+def test_what_names_no_bodies_is_refused(text: str, why: str) -> None:
+    with pytest.raises(Refused, match=why):
+        bodies_of(SHORT, text)
+
+
+def test_a_method_without_a_solver_for_friction_is_refused_before_the_run() -> None:
+    with pytest.raises(Refused, match="not piecewise linear; take for example sdirk2"):
+        run(load_scene("stick_slip"), bodies="radau:2")

@@ -171,6 +171,10 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
+ORDINARY = ("Hunt-Crossley that moves, and friction", "electrical damping", "three axes")
+FEW_FIRST = [pytest.param(name, marks=[pytest.mark.full] * (name not in ORDINARY)) for name in SCENES]
+
+
 def scene(name: str, **other: Any) -> Scene:
     return strike(**{"duration": 0.04, **SCENES[name], **other})
 
@@ -179,7 +183,7 @@ def off(one: Any, other: Any) -> float:
     return max(float(np.abs(one.trace[name] - other.trace[name]).max()) for name in ("x_m", "x_s"))
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", FEW_FIRST)
 def test_the_methods_move_the_bodies_that_the_stack_moves(name: str) -> None:
     own = run(scene(name))
     methods = METHODS if has_closed_form(scene(name)) else KNOWN
@@ -191,7 +195,7 @@ def test_the_methods_move_the_bodies_that_the_stack_moves(name: str) -> None:
         assert "integration" not in got[0].extra  # that would be the stack's own
 
 
-@pytest.mark.parametrize("name", [name for name in SCENES if "friction" not in name])
+@pytest.mark.parametrize("name", [each for each in FEW_FIRST if "friction" not in each.values[0]])
 def test_so_do_scipys_solvers(name: str) -> None:
     some = scene(name, duration=0.03)
     assert off(run(some, bodies=outsider_bodies(some, "LSODA", 1e-6)), run(some)) < 1e-6
