@@ -155,30 +155,27 @@ class TestTheRows:
         assert rows(far) == rows(sweep("own.py", {"k_e": [100.0, 200.0, -1.0]}))
         assert far.counts() == {"ok": 2, "refused": 1}
 
-    def test_outlive_a_worker_that_is_killed(self, rig: Rig, tmp_path: Path, small: None) -> None:
-        kill = Killer(rig)
-        with connected(rig.address) as executor:
-            far = sweep("soft_tissue", LONG, seeds=60, fixed=FIXED, executor=executor, out=tmp_path / "s", show=kill)
-        assert kill.held > 0
+    def test_outlive_a_worker_that_is_killed_in_a_folder_and_in_memory(
+        self, rig: Rig, tmp_path: Path, small: None
+    ) -> None:
+        near = rows(sweep("soft_tissue", LONG, seeds=60, fixed=FIXED))
+        for out in (tmp_path / "s", None):
+            kill, before = Killer(rig), rig.tasks()
+            told: list[int] = []
+
+            def show(done: int, of: int, kill: Killer = kill, told: list[int] = told) -> None:
+                told.append(done)
+                kill(done, of)
+
+            with connected(rig.address) as executor:
+                pool = executor if out else rig.client.get_executor()
+                far = sweep("soft_tissue", LONG, seeds=60, fixed=FIXED, executor=pool, out=out, show=show)
+            assert kill.held > 0
+            assert told[-1] == 120
+            assert rows(far) == near
+            until(lambda before=before: rig.tasks() <= before)  # what came back is not kept, though the client is open
+            rig.workers(1)
         assert sorted(lines(tmp_path / "s")) == list(range(120))
-        assert rows(far) == rows(sweep("soft_tissue", LONG, seeds=60, fixed=FIXED))
-        rig.workers(1)
-
-    def test_in_memory_outlive_it_too(self, rig: Rig, small: None) -> None:
-        kill = Killer(rig)
-        told: list[int] = []
-        before = rig.tasks()
-
-        def show(done: int, of: int) -> None:
-            told.append(done)
-            kill(done, of)
-
-        far = sweep("soft_tissue", LONG, seeds=60, fixed=FIXED, executor=rig.client.get_executor(), show=show)
-        assert kill.held > 0
-        assert told[-1] == 120
-        until(lambda: rig.tasks() <= before)  # what has come back is not kept, though the client is open
-        assert rows(far) == rows(sweep("soft_tissue", LONG, seeds=60, fixed=FIXED))
-        rig.workers(1)
 
     def test_that_only_a_worker_refuses_are_not_written(self, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
                                                         ) -> None:
@@ -235,15 +232,13 @@ class TestTheCommand:
 
 
 class TestAnAddress:
-    @pytest.mark.parametrize("text", ["h:1", "tcp://h:8786", "tls://h.example.org:8786", "[::1]:1", "10.0.0.7:65535"])
-    def test_is_host_and_port(self, text: str) -> None:
-        assert parse_address(text) == (text if "//" in text else f"tcp://{text}")
-
-    @pytest.mark.parametrize("text", ["", "h", "h:", ":8786", "h:0", "h:65536", "h:x", "http://h:8787", "h:1/x",
-                                      "a b:1", "::1:8786", "h:8786:1", "h:-1", "u@h:1"])
-    def test_of_another_form_is_refused(self, text: str) -> None:
-        with pytest.raises(Refused, match="HOST:PORT"), connected(text):
-            pass
+    def test_is_host_and_port(self) -> None:
+        for text in ("h:1", "tcp://h:8786", "tls://h.example.org:8786", "[::1]:1", "10.0.0.7:65535"):
+            assert parse_address(text) == (text if "//" in text else f"tcp://{text}")
+        for text in ("", "h", "h:", ":8786", "h:0", "h:65536", "h:x", "http://h:8787", "h:1/x", "a b:1", "::1:8786",
+                     "h:8786:1", "h:-1", "u@h:1"):
+            with pytest.raises(Refused, match="HOST:PORT"), connected(text):
+                pytest.fail(text)
 
     def test_of_one_that_lets_callers_in_and_says_nothing_is_refused_within_ten_seconds(self) -> None:
         with socket.create_server(("127.0.0.1", 0)) as one:
@@ -273,14 +268,12 @@ class TestAWorker:
         assert "not 0.0.1 (abc) as here" in said
         assert sources() in said
 
-    @pytest.mark.parametrize(("there", "has"), [("own.py", "another file"), ("none.py", "no file")])
-    def test_without_the_file_of_the_scene_or_law_gives_no_rows(
-        self, there: str, has: str, rig: Rig, tmp_path: Path
-    ) -> None:
+    def test_without_the_file_of_the_scene_or_law_gives_no_rows(self, rig: Rig, tmp_path: Path) -> None:
         (tmp_path / "own.py").write_text(OWN)
-        path = str(tmp_path / there)
-        _, said = rig.client.submit(answer, sources(), [(path, "digest")], b"", pure=False).result()
-        assert f"has {has} {path}; put" in said
+        for there, has in (("own.py", "another file"), ("none.py", "no file")):
+            path = str(tmp_path / there)
+            _, said = rig.client.submit(answer, sources(), [(path, "digest")], b"", pure=False).result()
+            assert f"has {has} {path}; put" in said
 
     def test_is_told_the_files_of_the_scene_and_of_each_law(self, tmp_path: Path) -> None:
         (tmp_path / "law_mine.py").write_text("K = 1.0\n")

@@ -41,6 +41,30 @@ class TestTheGrid:
             typed("sweep", "soft_tissue", "--grid", *words).assert_refused(said)
 
 
+    def test_leaves_a_folder_and_goes_on_there(self, typed: Typed) -> None:
+        words = ["soft_tissue", "--grid", "law=wave,direct", "delay=0:0.04:3", "--seeds", "2", *SHORT]
+        first = typed("sweep", *words)
+        assert "12 done: 12 ok" in first.out, first.err
+        told = json.loads(typed("sweep", *words, "--json").out)
+        assert (told["done"], told["ran"], told["counts"]) == (12, 0, {"ok": 12})
+        assert len((FOLDER / "rows.jsonl").read_text().splitlines()) == 12
+        left = json.loads((FOLDER / "summary.json").read_text())
+        for name in ("engine", "why", "counts", "rows", "versions"):
+            assert left[name] == told[name], name
+        assert left["engine"] == "plain"
+
+    @pytest.mark.parametrize("way", ["--latin", "--random"])
+    def test_draws_points_from_ranges(self, typed: Typed, way: str) -> None:
+        words = ("sweep", "soft_tissue", "--grid", "delay=0:0.05", "k_e=1e2:1e4:log", way, "7", *SHORT, "--json")
+        told = json.loads(typed(*words).out)
+        assert (told["done"], told["rows"]) == (7, 7)
+        assert json.loads(typed(*words).out)["ran"] == 0  # the same points again
+        delays = sorted(json.loads(line)["delay"] for line in (FOLDER / "rows.jsonl").read_text().splitlines())
+        assert 0.0 <= delays[0] < delays[-1] <= 0.05
+        if way == "--latin":
+            assert [int(delay / 0.05 * 7) for delay in delays] == list(range(7))
+
+
 class TestWhatIsTold:
     def test_of_refused_rows_is_why(self, typed: Typed) -> None:
         answer = typed("sweep", "soft_tissue", "--grid", "k_e=1,-1,-2", "d_e=1,2", *SHORT)

@@ -49,14 +49,14 @@ class Elsewhere(Executor):
 
 
 class TestOneThatRaises:
-    @pytest.mark.parametrize("engine", [None, "plain", "scalar", "vector"])
-    def test_left_a_blank_cell_and_now_ends_the_sweep(self, engine: str | None) -> None:
+    def test_left_a_blank_cell_and_now_ends_the_sweep(self) -> None:
         words = f"metric soft_only {HERE} raised Fussy: 150.0 N/m is above 120.0, in row 2 .k_e=150.0, seed=0.; mend it"
-        with pytest.raises(Refused, match=words) as refused:
-            sweep("soft_tissue", STIFFNESS, fixed=FIXED, metrics=["x_err_rms", soft_only], engine=engine)
-        cause = refused.value.__cause__
-        assert isinstance(cause, Fussy)
-        assert cause.__traceback__ is not None
+        for engine in (None, "vector"):
+            with pytest.raises(Refused, match=words) as refused:
+                sweep("soft_tissue", STIFFNESS, fixed=FIXED, metrics=["x_err_rms", soft_only], engine=engine)
+            cause = refused.value.__cause__
+            assert isinstance(cause, Fussy)
+            assert cause.__traceback__ is not None
 
     def test_in_another_process_is_told_with_its_traceback_there(self) -> None:
         with pytest.raises(MetricMistake, match=r"raised Fussy: 150\.0") as refused:
@@ -91,18 +91,18 @@ class TestOneThatRaises:
 
 
 class TestOneThatReturnsNoNumber:
-    @pytest.mark.parametrize("value", [None, "0.5", np.zeros(3), [1.0], 1j])
-    def test_was_a_blank_cell_or_a_guess_and_is_refused(self, value: object) -> None:
+    def test_was_a_blank_cell_or_a_guess_and_is_refused_where_numbers_of_any_kind_are_taken(self) -> None:
+        result, value = run(load_scene("soft_tissue", **FIXED)), None
+
         def odd(result: Result) -> Any:  # noqa: ARG001 - of no run in particular
             return value
 
         words = rf"metric odd {HERE} returned .*no number .*in row 4 \(law=wave, k_e=50"
-        with pytest.raises(MetricMistake, match=words):
-            evaluate_metric(odd, run(load_scene("soft_tissue", **FIXED)), ROW)
-
-    @pytest.mark.parametrize("value", [2, np.float32(2.0), np.int64(2), np.array(2.0), 2.0])
-    def test_takes_numbers_of_any_kind(self, value: Any) -> None:
-        assert evaluate_metric(lambda _: value, run(load_scene("soft_tissue", **FIXED)), ROW) == 2.0
+        for value in (None, "0.5", np.zeros(3), [1.0], 1j):
+            with pytest.raises(MetricMistake, match=words):
+                pytest.fail(f"{value}: {evaluate_metric(odd, result, ROW)}")
+        for value in (2, np.float32(2.0), np.int64(2), np.array(2.0), 2.0):
+            assert evaluate_metric(odd, result, ROW) == 2.0, value
 
     def test_says_by_nan_that_a_row_has_none(self) -> None:
         def none(result: Result) -> float:

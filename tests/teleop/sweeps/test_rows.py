@@ -17,13 +17,13 @@ from teleop.sweeps.chunk import Job, work
 from teleop.sweeps.rows import RowMaker, same
 
 MEASURES = ("x_err_rms", "f_err_max", "f_env_max", "E_link_min")
-FIXED = {"duration": 0.3, "link": "delay(0.02) | bernoulli(0.05)"}
+FIXED = {"duration": 0.2, "link": "delay(0.02) | bernoulli(0.05)"}
 KNOBS: list[dict[str, Any]] = [  # one after another, each with another part changed, and back again
     {"k_e": 5e3}, {"k_e": 6e3}, {"k_e": 6e3, "d_e": 7.0}, {"k_e": 0.0, "d_e": 0.0}, {"k_e": 5e3},
     {"law.K": 400.0}, {"law": "pfra"}, {"law": "wave"}, {"law": "wave", "k_e": 1e3}, {"law": "pfra", "k_e": 1e3},
     {"amplitude": 0.04}, {"k_h": 100.0}, {"k_h": 100.0, "k_e": 2e3}, {"link": "delay(0.01)"},
     {"link": "delay(0.01)", "k_e": 2e3}, {"observer": 100.0}, {"observer": None}, {"energy": False}, {"dt": 0.002},
-    {"duration": 0.2}, {"wall": -0.0}, {"wall": 0.0}, {"k_e": -1.0}, {"k_e": 5e3},
+    {"duration": 0.1}, {"wall": -0.0}, {"wall": 0.0}, {"k_e": -1.0}, {"k_e": 5e3},
 ]
 
 
@@ -31,7 +31,8 @@ def job(knobs: list[dict[str, Any]], engine: str) -> Job:
     return Job("canonical", {}, [(i, {**FIXED, **own}, 1) for i, own in enumerate(knobs)], MEASURES, engine)
 
 
-@pytest.mark.parametrize("engine", ["plain", "scalar", "vector"])
+@pytest.mark.parametrize("engine", ["plain", *[
+    pytest.param(engine, marks=pytest.mark.full) for engine in ("scalar", "vector")]])
 def test_a_row_is_what_it_is_alone_whatever_rows_came_before_it(engine: str) -> None:
     # Rows of one job have the same knobs: each has all of them here.
     every = dict.fromkeys(name for own in KNOBS for name in own)
