@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 import subprocess
 import sys
@@ -24,7 +25,6 @@ FOLDER = Path(scenarios.examples.__file__ or "").parent
 EXAMPLES = sorted(path for path in FOLDER.glob("*.py") if path.name != "__init__.py")
 HARD: Any = load_scene("hard_wall").law  # has the gains that are found
 PRINTS = {
-    "compare": r"\{'ok': \d+, 'diverged': \d+\}\n(?:\w+ .*\n){3}ok .*\n\{.*\}\ncompare\.png\n",
     "effect": r"(?: *\d+ ms a second: ok, .*\n){3}",
     "gains": rf"(?:b .* off it\n){{9}}chosen: law\.b={HARD.b:g} law\.K={HARD.K:g} law\.B={HARD.B:g}\n",
     "law": r"(?:.* Hz: ok, .*\n){2}.* Hz: diverged, .*\n",
@@ -59,6 +59,22 @@ def test_an_example_runs_as_it_stands(name: str, tmp_path: Path) -> None:
                           check=False)
     assert done.returncode == 0, done.stderr
     assert re.fullmatch(PRINTS[name], done.stdout), done.stdout
+
+
+def test_the_notebook_runs_from_a_run_to_a_figure(capsys: pytest.CaptureFixture[str],
+                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    cells = json.loads((FOLDER / "first.ipynb").read_text())["cells"]
+    names: dict[str, Any] = {}
+    for cell in cells:
+        assert not cell.get("outputs"), "it is stored without results, which would go stale"
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    assert {line.get_label() for line in names["axes"].lines} >= set(names["LAWS"])
+    names["plt"].close("all")
+    assert "<th>status</th><td>ok: " in names["result"]._repr_html_()
+    assert re.fullmatch(r"\{'ok': \d+, 'diverged': \d+\}\n", capsys.readouterr().out)
 
 
 def test_law_and_effect_keep_what_every_law_and_effect_promises() -> None:
