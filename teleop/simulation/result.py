@@ -82,7 +82,8 @@ class Result:
     def _repr_html_(self) -> str:
         """A table for a notebook: how the run ended, its figures with units, its notes."""
         rows = [("status", f"{self.status}: {self.sentence}"), ("law", law_with_gains(self.parameters.get("law"))),
-                *[(name, f"{value:.4g} {self.labels.unit(UNITS[name])}".removesuffix(" 1")) for name, value in self.metrics.items()],
+                *[(name, f"{value:.4g} {self.labels.unit(UNITS[name])}".removesuffix(" 1"))
+                  for name, value in self.metrics.items()],
                 *[("note", note) for note in self.notes]]
         cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows)
         return f"<table><caption>{escape(self.scene)}, {self.mode}, seed {self.seed}</caption>{cells}</table>"
