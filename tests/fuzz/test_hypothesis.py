@@ -94,7 +94,7 @@ headed = st.binary(max_size=100).map(lambda data: sealed(b"BT\x02" + data))
 anything = st.one_of(framings, st.binary(max_size=300), headed, packets().map(encode))
 
 
-@settings(max_examples=250)
+@settings(max_examples=150)
 @given(anything, st.integers(0, 12))
 @example(b"", 1)
 def test_no_bytes_raise_and_what_is_a_packet_is_the_same_packet_when_sent_on(data: bytes, width: int) -> None:

@@ -318,20 +318,19 @@ def test_letting_go_alone_finds_the_service_again(new: Bench) -> None:
     assert new.well_again(device).x, "and by another connection it reads again"
 
 
-def test_closing_lets_go(bench: Bench) -> None:
-    device = bench.open()
-    bench.go(device, 5, (1.0, 1.0, 1.0))
-    device.close()
-    assert set(bench.service.force.values()) == {0.0}
-
-
-def test_the_watchdog_lets_go_over_a_connection_of_its_own(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_watchdog_lets_go_over_a_connection_of_its_own_and_closing_lets_go(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     device = bench.open()
     bench.go(device, 5, (1.0, 1.0, 1.0))
     monkeypatch.setattr("master.haply.monotonic_ns", bench.clock)
     assert device.watchdog is not None
     assert device.watchdog.open == "master.haply:zeroing"
     zeroing(*device.watchdog.arguments)()
+    assert set(bench.service.force.values()) == {0.0}
+    bench.go(device, 5, (1.0, 1.0, 1.0))
+    assert set(bench.service.force.values()) == {-1.0}
+    device.close()
     assert set(bench.service.force.values()) == {0.0}
 
 

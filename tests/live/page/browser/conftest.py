@@ -59,7 +59,19 @@ def tab(browser: Browser) -> Iterator[Callable[..., Page]]:
         page.close()
 
 
+@pytest.fixture(scope="session")
+def desktop(browser: Browser) -> Iterator[Page]:
+    """A tab that shows one page after the other."""
+    one = browser.page(width=1280, height=1400)
+    yield one
+    one.close()
+
+
 @pytest.fixture
-def page(mock: Mock, tab: Callable[..., Page]) -> Page:
+def page(mock: Mock, desktop: Page) -> Page:
     """A tab of a desktop that shows the mock."""
-    return tab(mock.url)
+    desktop.call("Page.navigate", url="about:blank")
+    desktop.console.clear()  # what the page before had to say
+    desktop.go(mock.url)
+    desktop.until("row !== null && hello !== null")
+    return desktop

@@ -5,18 +5,13 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 import random
-import re
 import sys
 import threading
 import time
 from collections import deque
 from contextlib import suppress
-from http import HTTPStatus
-from pathlib import Path
 from typing import Any
 
 from websockets.datastructures import Headers
@@ -24,7 +19,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
-PAGE = Path(__file__).parents[4] / "teleop" / "live" / "page" / "page.html"
+from teleop.live.page.command import PAGE
+from teleop.live.page.server import Requests
+
 LAWS = {
     "direct": "Position forth, measured force back, nothing in between.",
     "wave": "Wave variables with a spring-damper slave solved in closed form.",
@@ -36,16 +33,6 @@ SLIDERS = [
     {"name": "k_e", "label": "Wall stiffness", "unit": "N/m", "low": 50.0, "high": 1e5, "log": True},
 ]
 DT, F_MAX, WALL = 1e-3, 20.0, 0.03
-
-
-def policy(page: str) -> str:
-    """A content security policy that lets this page's one style and one script in, and nothing else."""
-    def allowed(tag: str) -> str:
-        (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
-        return "'sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() + "'"
-
-    return (f"default-src 'none'; script-src {allowed('script')}; style-src {allowed('style')}; connect-src 'self'; "
-            "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'")
 
 
 class World:
@@ -113,7 +100,7 @@ class Mock:
         self.silent = False  # it stands still, with its sockets open
         while self.world.t < ran:
             self.past.append(self.world.rows())
-        self.page = PAGE.read_text()
+        self.requests = Requests(PAGE.read_bytes(), "mock")  # as the page's own server answers
         self.server: Server = serve(self._client, "127.0.0.1", port, process_request=self._request,
                                     open_timeout=2, close_timeout=0.2)
         self.port = self.server.socket.getsockname()[1]
@@ -155,10 +142,8 @@ class Mock:
             thread.join()
 
     def _request(self, _connection: ServerConnection, request: Request) -> Response | None:
-        if request.path.startswith("/ws"):
-            return None
-        headers = Headers({"Content-Type": "text/html; charset=utf-8", "Content-Security-Policy": policy(self.page)})
-        return Response(HTTPStatus.OK, "OK", headers, self.page.encode())
+        answer = self.requests.answer(request.path, dict(request.headers.raw_items()))
+        return None if answer is None else Response(answer.status, "", Headers(answer.headers), answer.body)
 
     def _client(self, client: ServerConnection) -> None:
         with self.lock:

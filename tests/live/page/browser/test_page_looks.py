@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
+from teleop.live.page.command import PAGE
 from tests.browser import Page
-from tests.live.page.browser.mock import PAGE, Mock
+from tests.live.page.browser.mock import Mock
 
 pytestmark = pytest.mark.live
 

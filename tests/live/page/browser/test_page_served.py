@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
+from teleop.live.page.command import PAGE
 from tests.browser import Page
-from tests.live.page.browser.mock import PAGE
 from tests.live.page.conftest import TOKEN, Served
 
 pytestmark = pytest.mark.live
