@@ -9,8 +9,7 @@ import pytest
 
 from master.hand import Grip, Sine
 from slave.wall import Wall
-from teleop import Refused, load_scene, run
-from teleop.__main__ import main
+from teleop import load_scene, run
 
 
 def test_there_is_no_simulated_hand_wall_or_link_and_it_lasts_a_day() -> None:
@@ -42,18 +41,3 @@ def test_limits_are_on_in_the_hands_of_whoever_drives_it() -> None:
     assert np.abs(trace["f_m"]).max() == 5.0
     assert np.abs(np.diff(trace["f_m"], prepend=0.0)).max() <= 0.5 + 1e-12
     assert not trace["f_m"][1260:1500].any()
-
-
-@pytest.mark.parametrize(("knobs", "why"), [
-    ({"clutch": "1"}, "in twos"), ({"units": "m,rad"}, "2 entries"), ({"clutch": "3,2"}, "3 s ends at 2 s"),
-    ({"m_m": "1,2", "axes": "3"}, "^m_m has 2 numbers, the scene has 3 axes"),
-    ({"closes_within": "0.1"}, "closes_within"), ({"axes": "17"}, "axes"),
-])
-def test_what_cannot_be_is_refused_in_a_sentence(knobs: dict[str, str], why: str) -> None:
-    with pytest.raises(Refused, match=why):
-        load_scene("bench_top", **knobs)
-
-
-def test_a_day_in_virtual_time_is_refused_before_memory_is_full(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "bench_top"]) == 2
-    assert "--set duration=" in capsys.readouterr().err

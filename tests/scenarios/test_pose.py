@@ -21,7 +21,8 @@ def ran(law: str, **knobs: Any) -> Any:
     return run(load_scene("pose", law=law, **knobs))
 
 
-@pytest.mark.parametrize("law", ["pp", "four_channel", "tdpa"])
+@pytest.mark.parametrize("law", ["pp", *(pytest.param(name, marks=pytest.mark.full)
+                                        for name in ("four_channel", "tdpa"))])
 def test_the_tool_ends_as_the_hand_does_which_its_angles_alone_do_not_tell(law: str) -> None:
     """All tilts undone, phi says one and a half turns about the tilted axis; the tool stands otherwise."""
     trace = ran(law, **FREE).trace
@@ -34,7 +35,7 @@ def test_the_tool_ends_as_the_hand_does_which_its_angles_alone_do_not_tell(law: 
     assert np.linalg.norm(log(*product(*m, s[0], *-s[1:]))) < 1e-2
 
 
-@pytest.mark.parametrize("law", ["pp", "wave"])
+@pytest.mark.parametrize("law", ["pp", pytest.param("wave", marks=pytest.mark.full)])
 def test_it_turns_on_through_half_a_turn_and_a_whole_one(law: str) -> None:
     trace = ran(law).trace
     about = trace["x_s"][1500:4400, 3:] @ (np.sin(0.6), 0.0, np.cos(0.6))

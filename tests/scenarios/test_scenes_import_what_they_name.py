@@ -113,7 +113,9 @@ OPTIONAL = homes(EFFECTS) | homes(BUILT_IN) | ENVIRONMENTS | REFERENCES | ESTIMA
 }
 
 
-@pytest.mark.parametrize("name", built_in_scenes())
+@pytest.mark.parametrize("name", [
+    name if name in ("canonical", "pose", "stick_slip") else pytest.param(name, marks=pytest.mark.full)
+    for name in built_in_scenes()])
 def test_a_built_in_scene(name: str, tmp_path: Path) -> None:
     knobs = knobs_of(name, tmp_path)
     modules = loaded_by(name, knobs, tmp_path)
@@ -121,7 +123,7 @@ def test_a_built_in_scene(name: str, tmp_path: Path) -> None:
     assert not modules & NEVER
 
 
-@pytest.mark.parametrize("name", ["hard_wall", "canonical"])
+@pytest.mark.parametrize("name", ["hard_wall", pytest.param("canonical", marks=pytest.mark.full)])
 @pytest.mark.parametrize("start", [("master", "--peer=127.0.0.1:9"), ("slave", "--listen=127.0.0.1:0")])
 def test_a_live_end_loaded_the_catalogue_and_the_process_of_a_watchdog(start: tuple[str, str], name: str, tmp_path: Path
                                                                        ) -> None:
@@ -133,7 +135,7 @@ def test_a_live_end_loaded_the_catalogue_and_the_process_of_a_watchdog(start: tu
     assert not modules & NEVER_LIVE
 
 
-@pytest.mark.parametrize("name", ["virtual_wall", "virtual_coupling"])
+@pytest.mark.parametrize("name", ["virtual_coupling", pytest.param("virtual_wall", marks=pytest.mark.full)])
 def test_a_one_port_scene_with_all_that_a_device_may_have(name: str, tmp_path: Path) -> None:
     knobs = {"duration": "0.02", "cap": "0.8", "f_max": "3", "b_e": "0.8"}
     modules = loaded_by(name, knobs, tmp_path)
@@ -141,14 +143,11 @@ def test_a_one_port_scene_with_all_that_a_device_may_have(name: str, tmp_path: P
     assert modules & OPTIONAL == named_by(load_scene(name, **knobs))
 
 
-@pytest.mark.parametrize(
-    ("change", "gained", "lost"),
-    [
-        ({"link": "bernoulli(0.1)"}, {"channel.bernoulli", "numpy.random"}, {"channel.gamma"}),
-        ({"law": "pfra"}, {"teleop.laws.pfra", "teleop.stages.observer"}, set()),
-        ({"law": "pfra", "observer": "none"}, {"teleop.laws.pfra"}, {"teleop.stages.observer"}),
-    ],
-)
+@pytest.mark.parametrize(("change", "gained", "lost"), [
+    ({"link": "bernoulli(0.1)"}, {"channel.bernoulli", "numpy.random"}, {"channel.gamma"}),
+    ({"law": "pfra", "observer": "none"}, {"teleop.laws.pfra"}, {"teleop.stages.observer"}),
+    pytest.param({"law": "pfra"}, {"teleop.laws.pfra", "teleop.stages.observer"}, set(), marks=pytest.mark.full),
+])
 def test_a_knob_turned(change: dict[str, str], gained: set[str], lost: set[str], tmp_path: Path) -> None:
     modules = loaded_by("canonical", {"duration": "0.02", **change}, tmp_path)
     assert gained <= modules

@@ -15,7 +15,7 @@ from tests.programs import program
 from tests.scenarios.examples.compiled import compiled
 from tests.teleop.protocol.vectors import FILE, packet_of
 
-MUTATIONS = 20_000
+MUTATIONS = 8_000
 Case = tuple[int, bytes]
 
 

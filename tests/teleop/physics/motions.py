@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import random
-from typing import Any
+from typing import Any, NamedTuple
 
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -14,6 +15,32 @@ from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, Core, resis
 
 TOL = 1e-9
 DT = 1e-3
+
+
+class Case(NamedTuple):
+    """A body (mass m, damping b), a wall (k, d), and a tick dt from depth p and inward speed u under f."""
+
+    m: float
+    b: float
+    k: float
+    d: float
+    dt: float
+    p: float
+    u: float
+    f: float
+
+    @property
+    def w(self) -> float:
+        return math.sqrt(self.k / self.m)
+
+
+def ten_to(low: float, high: float) -> Any:
+    """Positive numbers of every magnitude between 10^low and 10^high."""
+    return st.floats(low, high).map(lambda e: 10.0**e)
+
+
+def either_sign(magnitude: Any) -> Any:
+    return st.just(0.0) | st.tuples(magnitude, st.sampled_from([-1.0, 1.0])).map(math.prod)
 
 
 def core(kind: int = NOTHING, *, m: float = 1.0, b: float = 0.0, k: float = 0.0, d: float = 0.0, n: float = 1.5,

@@ -1,7 +1,10 @@
 """Environments that move: seen from their own frame, against an integrator in the frame of the ground."""
 
+from __future__ import annotations
+
 import math
 import random
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -11,19 +14,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from teleop.errors import Refused
-from teleop.physics.carried import carried
+from teleop.physics.carried import Carried, carried
 from teleop.physics.contact import wall
 from teleop.physics.implicit import Resistance, implicit_master, implicit_plant
-from teleop.physics.plant import MassDamper, Plant, free_space, grip, move_gripped, spring_damper
+from teleop.physics.path import BLOCK, Blocks, Path, Speeds
+from teleop.physics.plant import MassDamper, Plant, grip, move_gripped, spring_damper
 from teleop.physics.relaxing import relaxing
 from teleop.physics.sdirk import BOND, WALL
+from tests.teleop.physics.motions import core, reference
 
 DT = 1e-3
 FREE = MassDamper(mass=0.5)
 BODY = MassDamper(mass=0.5, damping=1.0)
 
-quiet = settings(max_examples=60)
+quiet = settings(max_examples=25)
 
 
 def sine(amplitude: float, frequency: float, count: int) -> list[float]:
@@ -60,82 +64,35 @@ def test_what_moves_evenly_is_still_in_its_own_frame(speed: float, x: float, v: 
         assert moving.force(moving.c, x, v, zx) == pytest.approx(f_env, abs=1e-5)
 
 
-@pytest.mark.parametrize("inner", [False, True])
-def test_environment_carried_nowhere_is_the_environment_to_the_last_bit(inner: bool) -> None:
-    still = still_or(inner, BODY)
-    moving = carried(still, [0.0] * 501, BODY, DT)
-    x, v, zx = 0.0, 0.4, moving.start
-    rest: list[Any] = [] if still.start is None else [still.start]
-    y, w = x, v
-    for k in range(500):
-        f = math.sin(0.02 * k)
-        x, v, capped, zx = moving.move(moving.c, x, v, f, zx)
-        y, w, _, *rest = still.move(still.c, y, w, f, *rest)
-        assert (x, v, capped) == (y, w, 0)
-        assert moving.force(moving.c, x, v, zx) == still.force(still.c, y, w, *rest)
-
-
-def crossing(function: Any, direction: int) -> Any:
-    """The event that `function(t, y)` passes through zero, upward (1) or downward (-1), as scipy asks for it."""
-
-    def event(t: float, y: Any, _: bool) -> float:
-        return float(function(t, y))
-
-    event.terminal, event.direction = True, direction  # type: ignore[attr-defined]
-    return event
-
-
-def beside_a_moving_wall(path: list[float], force: Any, k: float, d: float) -> tuple[np.ndarray, set[tuple[str, str]]]:
-    """(x, v) of `BODY` at the ticks, and the changes of mode, integrated with events in the frame of the ground."""
-    m, b, rows, changes = BODY.mass, BODY.damping, [(0.0, 0.0)], set()
-    for tick, (r0, r1) in enumerate(pairwise(path)):
-        s, left, y, f = (r1 - r0) / DT, DT, np.array(rows[-1]), force(tick)
-        mode = ""
-        while True:
-            place = r1 - s * left  # where the wall's surface is now
-
-            def depth(t: float, y: Any, place: float = place, s: float = s) -> float:
-                return float(y[0] - place - s * t)
-
-            def push(t: float, y: Any, depth: Any = depth, s: float = s) -> float:
-                return float(k * depth(t, y) + d * (y[1] - s))
-
-            def rate(t: float, y: Any, touching: bool, push: Any = push, f: float = f) -> list[float]:
-                return [y[1], (f - b * y[1] - (push(t, y) if touching else 0.0)) / m]
-
-            p, g, way = depth(0.0, y), push(0.0, y), y[1] - s
-            if not mode:
-                mode = "free" if p < 0.0 or (p == 0.0 and way < 0.0) else "contact" if g > 0.0 else "detached"
-            events = {"free": [crossing(depth, 1)], "contact": [crossing(push, -1)],
-                      "detached": [crossing(depth, -1), crossing(push, 1)]}[mode]
-            done = solve_ivp(rate, (0.0, left), y, "DOP853", args=(mode == "contact",), events=events, rtol=1e-12,
-                             atol=1e-14, max_step=DT / 4)
-            y, left = done.y[:, -1], left - done.t[-1]
-            if done.status == 0:
-                break
-            fallen = {"free": "contact", "contact": "detached",
-                      "detached": "free" if len(done.t_events[0]) else "contact"}[mode]
-            changes.add((mode, fallen))
-            mode = fallen
-        rows.append((float(y[0]), float(y[1])))
-    return np.array(rows), changes
+def test_environment_carried_nowhere_is_the_environment_to_the_last_bit() -> None:
+    for inner in (False, True):
+        still = still_or(inner, BODY)
+        moving = carried(still, [0.0] * 501, BODY, DT)
+        x, v, zx = 0.0, 0.4, moving.start
+        rest: list[Any] = [] if still.start is None else [still.start]
+        y, w = x, v
+        for k in range(500):
+            f = math.sin(0.02 * k)
+            x, v, capped, zx = moving.move(moving.c, x, v, f, zx)
+            y, w, _, *rest = still.move(still.c, y, w, f, *rest)
+            assert (x, v, capped) == (y, w, 0)
+            assert moving.force(moving.c, x, v, zx) == still.force(still.c, y, w, *rest)
 
 
 def test_wall_that_swings_matches_an_integrator() -> None:
     # A wall that beats twenty times a second under a body pressed lightly against it: it is hit and left.
-    path = sine(0.004, 20.0, 250)
-
-    def force(tick: int) -> float:
-        return 1.5 + math.sin(0.03 * tick)
-
-    want, changes = beside_a_moving_wall([0.002 + r for r in path], force, 5000.0, 20.0)
-    moving = carried(wall(BODY, DT, k=5000.0, d=20.0, at=0.002, side=1.0), path, BODY, DT)
+    path, c, hits = sine(0.004, 20.0, 250), core(WALL, m=BODY.mass, b=BODY.damping, k=5000.0, d=20.0), 0
+    let_go, moving = 0, carried(wall(BODY, DT, k=5000.0, d=20.0, at=0.002, side=1.0), path, BODY, DT)
     x, v, z = 0.0, 0.0, moving.start
-    for k in range(250):
-        x, v, capped, z = moving.move(moving.c, x, v, force(k), z)
+    for k, (r0, r1) in enumerate(pairwise(path)):
+        f, s = 1.5 + math.sin(0.03 * k), (r1 - r0) / DT
+        p, u = reference(c, x - 0.002 - r0, v - s, f - BODY.damping * s, 0.0, DT)
+        was = x - 0.002 - r0
+        x, v, capped, z = moving.move(moving.c, x, v, f, z)
         assert capped == 0
-        assert (x, v) == pytest.approx(tuple(want[k + 1]), abs=1e-9)
-    assert changes == {("free", "contact"), ("contact", "detached"), ("detached", "free")}
+        assert (x, v) == pytest.approx((0.002 + r1 + p, s + u), abs=1e-9)
+        hits, let_go = hits + (was * p < 0.0), let_go + (p > 0.0 and moving.force(moving.c, x, v, z) == 0.0)
+    assert (hits, let_go) == (4, 6)
 
 
 def test_tissue_that_swings_and_relaxes_matches_an_integrator() -> None:
@@ -205,17 +162,6 @@ def test_friction_is_with_the_ground() -> None:
     assert moving.report(z)["tolerance"] == 1e-9
 
 
-def test_what_is_integrated_moves_as_what_is_exact() -> None:
-    exact = carried(wall(BODY, DT, k=2000.0, d=0.0, at=0.002, side=1.0), path := sine(0.004, 10.0, 200), BODY, DT)
-    close = carried(implicit_plant(BODY, DT, resistance=Resistance(WALL, 2000.0, 0.0, 0.002)), path, BODY, DT)
-    x, v, z = y, w, zy = 0.0, 0.0, exact.start
-    zy = close.start
-    for _ in range(200):
-        x, v, _, z = exact.move(exact.c, x, v, 1.0, z)
-        y, w, _, zy = close.move(close.c, y, w, 1.0, zy)
-        assert (x, v) == pytest.approx((y, w), abs=1e-5)
-
-
 def test_extremes_stay_finite() -> None:
     dice = random.Random(2)
     for mass in (1e-4, 1e3):
@@ -235,13 +181,63 @@ def test_extremes_stay_finite() -> None:
                     assert math.isnan(x)
 
 
-def test_paths_that_cannot_be_followed_are_refused() -> None:
-    plant = free_space(BODY, DT)
-    with pytest.raises(Refused, match="the path at tick 1 must be finite"):
-        carried(plant, [0.0, math.nan], BODY, DT)
-    with pytest.raises(Refused, match="a path needs a place for each tick"):
-        carried(plant, [], BODY, DT)
-    with pytest.raises(Refused, match="faster than numbers go"):
-        carried(plant, [0.0, 1e308], BODY, DT)
-    with pytest.raises(Refused, match=r"friction=0\.5 N .* write friction=0"):
-        carried(plant, [0.0, 0.0], MassDamper(mass=0.5, friction=0.5), DT)
+# -- along a path that is sampled as it is read
+
+
+def noting() -> tuple[list[tuple[int, int]], Callable[[int, int], tuple[list[float], ...]]]:
+    """A sine along two axes, and the list of what is read of it."""
+    calls: list[tuple[int, int]] = []
+
+    def samples(first: int, count: int) -> tuple[list[float], ...]:
+        calls.append((first, count))
+        wave = [0.03 * math.sin(0.01 * k) for k in range(first, first + count)]
+        return wave, [2.0 * y for y in wave]
+
+    return calls, samples
+
+
+def test_it_gives_what_sampling_all_of_it_would_give() -> None:
+    whole = noting()[1](0, 1000)
+    blocks = Blocks(noting()[1])
+    paths = [Path(blocks, axis, 1000) for axis in (0, 1)]
+    for axis, path in enumerate(paths):
+        assert list(path) == whole[axis]
+        assert path[3:9] == whole[axis][3:9]
+        assert len(path) == 1000
+
+
+def test_beyond_its_end_it_stays() -> None:
+    path = Path(Blocks(noting()[1]), 0, 700)
+    assert path[5000] == path[700] == path[699] != path[698]
+    assert Speeds(path, DT)[700] == 0.0 != Speeds(path, DT)[699]
+
+
+def test_a_day_of_it_costs_what_is_read_of_it() -> None:
+    calls, samples = noting()
+    path = Path(Blocks(samples), 0, 86_400_001)
+    assert calls == []
+    for k in range(3 * BLOCK):
+        path[k], path[k + 1], path[max(0, k - 1)]
+    assert calls == [(i * BLOCK, BLOCK) for i in range(4)], "each block once, and none ahead of time"
+    assert path[86_400_000] == 0.03 * math.sin(0.01 * 86_400_000)
+    assert len(calls) == 5
+
+
+def test_an_environment_that_is_carried_along_it_moves_to_the_bit_as_along_its_list() -> None:
+    for still in (relaxing(BODY, DT, k=300.0, k1=2000.0, tau=0.02, at=0.0),
+                  wall(BODY, DT, k=5000.0, d=5.0, at=0.0, side=1.0)):
+        listed = carried(still, noting()[1](0, 701)[0], BODY, DT)
+        read = carried(still, Path(Blocks(noting()[1]), 0, 701), BODY, DT)
+        assert read.start == listed.start
+        assert Carried(*read.c).last == Carried(*listed.c).last == 700
+        a, b = (0.0, 0.0, listed.start), (0.0, 0.0, read.start)
+        touched = 0
+        for k in range(900):
+            f = 5.0 * math.sin(0.02 * k)
+            a, b = (one.move(one.c, x, v, f, z) for one, (x, v, z) in ((listed, a), (read, b)))
+            a, b = (a[0], a[1], a[3]), (b[0], b[1], b[3])
+            assert a == b
+            force = listed.force(listed.c, *a)
+            assert force == read.force(read.c, *b)
+            touched += force != 0.0
+        assert touched > 30

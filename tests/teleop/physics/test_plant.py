@@ -12,16 +12,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from teleop.errors import Refused
 from teleop.physics.plant import MassDamper, free_space, grip, grip_force, linear, move_gripped, response, spring_damper
+from tests.teleop.physics.motions import ten_to
 
-quiet = settings(max_examples=150)
+quiet = settings(max_examples=60)
 signed = st.floats(-10.0, 10.0, allow_subnormal=False)
-
-
-def ten_to(low: float, high: float) -> Any:
-    """Positive numbers of every magnitude between 10^low and 10^high."""
-    return st.floats(low, high).map(lambda e: 10.0**e)
 
 
 def precise_response(m: float, c: float, k: float, tau: float) -> tuple[Any, Any, Any]:
@@ -55,7 +50,7 @@ def cases(count: int, seed: int) -> list[tuple[float, float, float, float]]:
 def test_response_keeps_thirteen_digits_over_thirteen_decades() -> None:
     # A phase or an exponent of n has a rounding error of n units: the error allowed grows with them. Where
     # S and S' cross zero they are as exact as their envelope.
-    for m, c, k, tau in cases(1500, seed=1):
+    for m, c, k, tau in cases(500, seed=1):
         sigma, omega = 0.5 * c / m, math.sqrt(k / m)
         gap = sigma * sigma - omega * omega
         d = math.sqrt(abs(gap))
@@ -85,24 +80,6 @@ def test_step_is_the_matrix_exponential(m: float, c: float, k: float, dt: float)
     np.testing.assert_allclose([step[:3], step[3:]], whole[:2], rtol=1e-10, atol=1e-12 * np.abs(whole).max())
 
 
-@quiet
-@given(m=ten_to(-4, 2), c=st.just(0.0) | ten_to(-3, 3), k=st.just(0.0) | ten_to(0, 7), dt=ten_to(-5, -1),
-       q=signed, v=signed, f=signed)
-def test_one_step_is_two_halves(*, m: float, c: float, k: float, dt: float, q: float, v: float, f: float
-                                ) -> None:
-    def by(tau: float, q: float, v: float) -> tuple[float, float]:
-        s = linear(m, c, k, tau)
-        return s.a11 * q + s.a12 * v + s.b1 * f, s.a21 * q + s.a22 * v + s.b2 * f
-
-    w = math.sqrt(k / m)
-    q1, v1 = by(dt, q, v)
-    q2, v2 = by(0.5 * dt, *by(0.5 * dt, q, v))
-    reach = abs(q) + (abs(v) + abs(f) / m * dt) * min(dt, 1 / w if w else dt)
-    speed = abs(v) + min(w, 1 / dt) * abs(q) + w * abs(q) + abs(f) / m * dt
-    assert abs(q1 - q2) <= 1e-14 * (10 + w * dt) * reach
-    assert abs(v1 - v2) <= 1e-14 * (10 + w * dt) * speed
-
-
 def test_body_in_free_space_keeps_its_speed() -> None:
     plant = free_space(MassDamper(mass=0.7), 0.25)
     assert plant.move(plant.c, 1.0, 2.0, 0.0) == (1.5, 2.0, 0)
@@ -117,13 +94,6 @@ def test_a_body_at_rest_without_a_spring_stays_to_the_last_bit(m: float, c: floa
     step = linear(m, c, 0.0, dt)
     assert step.a11 == 1.0
     assert step.a21 == 0.0
-
-
-def test_viscous_drag_stops_a_body_after_m_v_over_b() -> None:
-    plant = free_space(MassDamper(mass=0.2, damping=0.5), 100.0)
-    x, v, _ = plant.move(plant.c, 0.0, 3.0, 0.0)
-    assert x == pytest.approx(0.2 * 3.0 / 0.5, rel=1e-15)
-    assert v == pytest.approx(0.0, abs=1e-100)
 
 
 @quiet
@@ -185,32 +155,11 @@ def test_grip_force_is_what_moves_the_master(*, x: float, v: float, f_held: floa
     assert body.mass * a + body.damping * v == pytest.approx(f_h - f_held, rel=1e-12, abs=1e-11)
 
 
-def test_hand_that_moves_with_its_reference_feels_only_the_drag() -> None:
-    c = grip(MassDamper(mass=0.1, damping=0.5), 0.4, 200.0, 0.0, 1e-3)
-    lag = 0.5 * 0.3 / 200.0  # at this lag the spring carries the drag of 0.3 m/s
-    x, v = move_gripped(c, -lag, 0.3, 0.0, 0.0, 0.3e-3)
-    assert (x, v) == pytest.approx((0.3e-3 - lag, 0.3), rel=1e-14)
-    assert grip_force(c, x, v, 0.0, 0.3e-3, 0.3) == pytest.approx(0.15, rel=1e-12)
-
-
-def test_impossible_bodies_are_refused() -> None:
-    with pytest.raises(Refused, match="mass must be above 0"):
-        MassDamper(mass=0.0)
-    with pytest.raises(Refused, match="damping must be at least 0"):
-        MassDamper(mass=1.0, damping=-0.1)
-    with pytest.raises(Refused, match="mass must be finite"):
-        MassDamper(mass=math.nan)
-    with pytest.raises(Refused, match="dt must be above 0"):
-        free_space(MassDamper(mass=1.0), 0.0)
-    with pytest.raises(Refused, match="no finite step"):
-        free_space(MassDamper(mass=1e-320, damping=1.0), 1e-3)
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_stays_so(bad: float) -> None:
+def test_what_is_not_finite_stays_so() -> None:
     body = MassDamper(mass=0.1, damping=0.5)
-    for plant in (free_space(body, 1e-3), spring_damper(body, 1e-3, k=100.0, d=1.0)):
-        for state in ((bad, 0.0, 0.0), (0.0, bad, 0.0), (0.0, 0.0, bad)):
-            assert not all(map(math.isfinite, plant.move(plant.c, *state)))
     held = grip(body, 0.4, 200.0, 5.0, 1e-3)
-    assert not all(map(math.isfinite, move_gripped(held, 0.0, 0.0, bad, 0.0, 0.0)))
+    for bad in (math.nan, math.inf, -math.inf):
+        for plant in (free_space(body, 1e-3), spring_damper(body, 1e-3, k=100.0, d=1.0)):
+            for state in ((bad, 0.0, 0.0), (0.0, bad, 0.0), (0.0, 0.0, bad)):
+                assert not all(map(math.isfinite, plant.move(plant.c, *state)))
+        assert not all(map(math.isfinite, move_gripped(held, 0.0, 0.0, bad, 0.0, 0.0)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from itertools import product as pairs_of
 from math import cos, inf, isnan, nan, pi, sin
 
 import mpmath
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from teleop import DeviceError, RotationAxes
 from teleop.physics.rotation import (
     exp,
     heard_at,
@@ -38,30 +40,28 @@ def of_scipy(q: tuple[float, ...]) -> Rotation:
     return Rotation.from_quat([*q[1:], q[0]])
 
 
-@pytest.mark.parametrize("angle", ANGLES)
-@pytest.mark.parametrize("axis", AXES)
-def test_the_quaternion_of_a_rotation_vector_is_that_of_fifty_digits(angle: float, axis: tuple[float, ...]) -> None:
-    d = [angle * each for each in axis]
-    with mpmath.workdps(50):
-        a = mpmath.sqrt(sum(mpmath.mpf(each) ** 2 for each in d))
-        s = mpmath.sin(a / 2) / a if a else mpmath.mpf("0.5")
-        exact = [mpmath.cos(a / 2), *[s * each for each in d]]
-        for got, true in zip(exp(*d), exact, strict=True):
-            assert abs(got - true) <= min(2.3e-16, 1e-15 * abs(true) + 1.2e-16)
+def test_the_quaternion_of_a_rotation_vector_is_that_of_fifty_digits() -> None:
+    for angle, axis in pairs_of(ANGLES, AXES):
+        d = [angle * each for each in axis]
+        with mpmath.workdps(50):
+            a = mpmath.sqrt(sum(mpmath.mpf(each) ** 2 for each in d))
+            s = mpmath.sin(a / 2) / a if a else mpmath.mpf("0.5")
+            exact = [mpmath.cos(a / 2), *[s * each for each in d]]
+            for got, true in zip(exp(*d), exact, strict=True):
+                assert abs(got - true) <= min(2.3e-16, 1e-15 * abs(true) + 1.2e-16), d
 
 
-@pytest.mark.parametrize("angle", ANGLES)
-@pytest.mark.parametrize("axis", AXES)
-def test_the_rotation_vector_of_a_quaternion_is_that_of_fifty_digits(angle: float, axis: tuple[float, ...]) -> None:
+def test_the_rotation_vector_of_a_quaternion_is_that_of_fifty_digits() -> None:
     """Of q and of -q, near 0 as near pi, of the quaternion as it is in floats."""
-    q = exp(*[angle * each for each in axis])
-    with mpmath.workdps(50):
-        w, *v = [mpmath.mpf(each) for each in q]
-        n = mpmath.sqrt(sum(each**2 for each in v))
-        exact = [2 * mpmath.atan2(n, w) / n * each if n else mpmath.mpf(0) for each in v]
-        for got, true in zip(log(*q), exact, strict=True):
-            assert abs(got - true) <= 9e-16 * max(abs(true), abs(angle))
-    assert log(*[-each for each in q]) == log(*q) or q[0] == 0.0
+    for angle, axis in pairs_of(ANGLES, AXES):
+        q = exp(*[angle * each for each in axis])
+        with mpmath.workdps(50):
+            w, *v = [mpmath.mpf(each) for each in q]
+            n = mpmath.sqrt(sum(each**2 for each in v))
+            exact = [2 * mpmath.atan2(n, w) / n * each if n else mpmath.mpf(0) for each in v]
+            for got, true in zip(log(*q), exact, strict=True):
+                assert abs(got - true) <= 9e-16 * max(abs(true), abs(angle)), q
+        assert log(*[-each for each in q]) == log(*q) or q[0] == 0.0
 
 
 def test_they_agree_with_scipy() -> None:
@@ -180,3 +180,42 @@ def test_increments_of_phi_leave_out_what_the_module_says() -> None:
         fine = turned(*fine, 10e-6, 100.0 * 1e-6 * (k + 0.5) * 1e-6, 0.0)
     missed = log(*product(*fine, step[0], *[-each for each in step[1:]]))
     assert missed == pytest.approx((0.0, 0.0, -(1e-3**3) / 12.0 * 10.0 * 100.0), abs=1e-9)
+
+
+# -- the rotation axes of a device: phi counted along its quaternions
+
+
+def test_an_orientation_counted_from_phi_is_that_of_the_device() -> None:
+    """A tool that tumbles, its quaternions told with either sign and in single precision."""
+    rng = np.random.default_rng(5)
+    device, q, counted, before = RotationAxes(), exp(0.5, -2.5, 1.0), (1.0, 0.0, 0.0, 0.0), np.zeros(3)
+    for k in range(2000):
+        told = np.float32(q) * (-1.0) ** (k // 3)
+        phi = np.array(device.phi(told))
+        counted = turned(*counted, *(phi - before))
+        before = phi
+        assert np.linalg.norm(log(*product(*counted, q[0], *[-each for each in q[1:]]))) < 3e-7  # of single precision
+        q = turned(*q, *rng.normal(scale=0.1, size=3))
+
+
+def test_a_tool_that_is_turned_on_and_on_does_not_unwind() -> None:
+    device, axis = RotationAxes(), np.array((0.6, 0.0, 0.8))
+    for angle in np.linspace(0.0, 9.0 * pi, 400):
+        assert device.phi(exp(*(angle * axis))) == pytest.approx(tuple(angle * axis), abs=1e-12)
+
+
+def test_what_is_no_unit_quaternion_is_an_error_of_the_device() -> None:
+    device = RotationAxes()
+    for q in ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), (1.0, 0.1, 0.0, 0.0), (nan, 0.0, 0.0, 0.0)):
+        with pytest.raises(DeviceError, match="no unit quaternion"):
+            device.phi(q)
+    assert device.phi((1.0009, 0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
+
+
+def test_a_vector_of_the_device_in_the_directions_of_the_world() -> None:
+    device, q = RotationAxes(), exp(0.3, -1.0, 2.0)
+    with pytest.raises(DeviceError, match="call phi first"):
+        device.in_world((1.0, 0.0, 0.0))
+    device.phi(q)
+    world = Rotation.from_quat([*q[1:], q[0]]).apply((1.0, 2.0, 3.0))
+    assert device.in_world((1.0, 2.0, 3.0)) == pytest.approx(tuple(world), abs=1e-14)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import random
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -23,12 +22,12 @@ from teleop.physics.sdirk import (
     resistance_force,
     stage,
 )
-from tests.teleop.physics.motions import TOL, core, reference, struck
+from tests.teleop.physics.motions import TOL, core, either_sign, reference, struck, ten_to
 
 
 def test_without_friction_a_wall_is_the_exact_wall_within_the_estimate() -> None:
     dice, changed, met = random.Random(7), 0, 0
-    for _ in range(800):
+    for _ in range(300):
         c, p, u, f, dt = struck(dice)
         kept = integrate(c, p, u, f, 0.0, dt, TOL, dice.choice([1.0, 0.25]))
         x, v, _ = events(*c[1:5], dt, p, u, f)
@@ -36,13 +35,13 @@ def test_without_friction_a_wall_is_the_exact_wall_within_the_estimate() -> None
         assert dt * abs(kept.u - v) <= 3.0 * kept.error + 0.1 * TOL
         changed += (p < 0.0) != (x < 0.0)
         met += kept.error <= TOL
-    assert changed > 100
-    assert met > 650
+    assert changed > 35
+    assert met > 240
 
 
 def test_without_friction_a_bond_is_the_exact_bond_within_the_estimate() -> None:
     dice = random.Random(8)
-    for _ in range(300):
+    for _ in range(100):
         (_, *numbers), p, u, f, dt = struck(dice)
         m, b, k, d = numbers[:4]
         kept = integrate((BOND, *numbers), p, u, f, dice.choice([0.0, 0.2]), dt, TOL, 1.0)
@@ -52,10 +51,11 @@ def test_without_friction_a_bond_is_the_exact_bond_within_the_estimate() -> None
         assert kept.error <= TOL or kept.substeps == MOST_SUBSTEPS
 
 
-@pytest.mark.parametrize("kind", [NOTHING, WALL, BOND, HUNT_CROSSLEY])
+@pytest.mark.parametrize("kind", [WALL, BOND, *(pytest.param(kind, marks=pytest.mark.full)
+                                                for kind in (NOTHING, HUNT_CROSSLEY))])
 def test_with_friction_it_is_an_independent_integration_within_the_estimate(kind: int) -> None:
     dice, turned = random.Random(kind), 0
-    for _ in range(40):
+    for _ in range(25):
         (_, m, b, k, d, _, _, _), p, u, f, dt = struck(dice)
         if kind == HUNT_CROSSLEY:
             k *= 100.0
@@ -68,12 +68,12 @@ def test_with_friction_it_is_an_independent_integration_within_the_estimate(kind
         assert abs(kept.p - x) <= 3.0 * kept.error + 0.1 * TOL
         assert dt * abs(kept.u - v) <= 3.0 * kept.error + TOL
         turned += (v + s) * (u + s) <= 0.0
-    assert turned > 8
+    assert turned > 5
 
 
 def test_hunt_crossley_is_an_independent_integration_within_the_estimate() -> None:
     dice = random.Random(11)
-    for _ in range(40):
+    for _ in range(20):
         (_, m, b, k, _, _, _, _), p, u, f, dt = struck(dice)
         c = core(HUNT_CROSSLEY, m=m, b=b, k=100.0 * k, n=dice.choice([1.0, 1.5, 2.0, 3.0]),
                  lam=dice.choice([0.0, 0.3, 3.0, 30.0]))
@@ -112,17 +112,17 @@ def test_a_stop_between_the_stages_is_not_missed() -> None:
     assert max(abs(kept.p - x), 1e-3 * abs(kept.u - v)) <= 1.2 * kept.error
 
 
-@pytest.mark.parametrize("tol", [1e-6, 1e-8, 1e-11])
-def test_the_tolerance_asked_for_is_met_by_the_error_made(tol: float) -> None:
-    dice = random.Random(3)
-    for _ in range(200):
-        c, p, u, f, dt = struck(dice)
-        kept = integrate(c, p, u, f, 0.0, dt, tol, 1.0)
-        x, v, _ = events(*c[1:5], dt, p, u, f)
-        if kept.error <= tol:
-            assert max(abs(kept.p - x), dt * abs(kept.u - v)) <= 2.0 * tol
-        else:
-            assert kept.substeps > MOST_SUBSTEPS // 2
+def test_the_tolerance_asked_for_is_met_by_the_error_made() -> None:
+    for tol in (1e-6, 1e-8, 1e-11):
+        dice = random.Random(3)
+        for _ in range(60):
+            c, p, u, f, dt = struck(dice)
+            kept = integrate(c, p, u, f, 0.0, dt, tol, 1.0)
+            x, v, _ = events(*c[1:5], dt, p, u, f)
+            if kept.error <= tol:
+                assert max(abs(kept.p - x), dt * abs(kept.u - v)) <= 2.0 * tol
+            else:
+                assert kept.substeps > MOST_SUBSTEPS // 2
 
 
 def test_far_from_the_origin_rounding_is_not_taken_for_an_error_of_integration() -> None:
@@ -146,21 +146,13 @@ def test_a_stage_that_is_drawn_out_faster_than_it_may_be_held_is_free() -> None:
     assert stage(core(WALL, k=1e3, d=10.0), 1e-2, -5.0, 1e-4, 0.0, 0.0) == (-5.0, 2)
 
 
-def ten_to(low: float, high: float) -> Any:
-    return st.floats(low, high).map(lambda e: 10.0**e)
-
-
-def either_sign(magnitude: Any) -> Any:
-    return st.just(0.0) | st.tuples(magnitude, st.sampled_from([-1.0, 1.0])).map(math.prod)
-
-
 any_core = st.builds(
     core, st.sampled_from([NOTHING, WALL, BOND, HUNT_CROSSLEY]), m=ten_to(-4, 3), b=st.just(0.0) | ten_to(-3, 2),
     k=st.just(0.0) | ten_to(0, 9), d=st.just(0.0) | ten_to(-3, 3), n=st.sampled_from([1.0, 1.5, 2.0, 10.0]),
     lam=st.just(0.0) | ten_to(-3, 2), fc=st.just(0.0) | ten_to(-3, 3))
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(any_core, either_sign(ten_to(-9, 0)), either_sign(ten_to(-6, 1)), ten_to(-12, -1), either_sign(ten_to(-3, 3)),
        either_sign(ten_to(-3, 0)))
 def test_a_stage_is_the_one_solution_of_its_inclusion(c: Core, y: float, w: float, tau: float, f: float, s: float

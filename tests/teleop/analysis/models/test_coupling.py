@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, inf, pi, tan
+from math import cos, inf, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -71,18 +71,12 @@ class TestBound:
         if exact is not None:
             assert found == pytest.approx(exact, abs=1e-6)
 
-    @settings(max_examples=30)
-    @given(K=K, B=B)
-    def test_a_passive_environment_needs_what_a_clamped_tool_does(self, K: float, B: float) -> None:
-        assert needed_damping(spring_damper(K, B, T), 0.0, T).damping == pytest.approx(
-            wall_damping(K, B, T).damping, rel=1e-7)
-
-    @given(K=st.floats(1.0, 5e3), d=st.integers(0, 5))
-    @settings(max_examples=20)
-    def test_with_delay_worse_ones_than_a_clamped_tool_exist(self, K: float, d: int) -> None:
-        needed = needed_damping(spring_damper(K, 0.0, T), 0.0, T, d=d).damping
-        assert needed == pytest.approx(0.5 * K * T * (d + 1) ** 2, rel=1e-6)
-        assert needed >= wall_damping(K, 0.0, T, d).damping * (1 - 1e-9)
+    def test_with_delay_worse_ones_than_a_clamped_tool_exist(self) -> None:
+        for K in (1.0, 700.0, 5e3):
+            for d in range(6):
+                needed = needed_damping(spring_damper(K, 0.0, T), 0.0, T, d=d).damping
+                assert needed == pytest.approx(0.5 * K * T * (d + 1) ** 2, rel=1e-6)
+                assert needed >= wall_damping(K, 0.0, T, d).damping * (1 - 1e-9)
 
     def test_a_coupling_that_lacks_as_much_as_its_own_is_none(self) -> None:
         assert needed_damping(spring_damper(1000.0, 0.1, T), 0.6 + 1e-6, T).damping == inf
@@ -92,12 +86,14 @@ class TestBound:
 class TestMiller:
     """The published condition, which does not know of the sample that holding costs."""
 
+    @settings(max_examples=30)
     @given(delta=st.floats(0.01, 10.0), gamma=st.floats(0.01, 10.0))
     def test_it_is_the_bound_without_that_sample(self, delta: float, gamma: float) -> None:
         alpha = alpha_miller(delta, gamma)
         assert gamma**2 / (gamma - alpha) - gamma == pytest.approx(delta, rel=1e-6)  # real C, e^-jth = 1
         assert alpha_miller(delta, inf) == delta
 
+    @settings(max_examples=30)
     @given(K=K, B=B, more=st.floats(1.0, 5.0))
     def test_it_is_safe_where_the_device_has_the_coupling_s_damping(self, K: float, B: float, more: float) -> None:
         gamma = K * T / 2 + B
@@ -145,7 +141,7 @@ def polynomials(law: VirtualCoupling) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TestToolLack:
-    @settings(max_examples=150)
+    @settings(max_examples=60)
     @given(law=tools)
     def test_unstable_by_itself_is_what_grows(self, law: VirtualCoupling) -> None:
         """The law's own tick, apart from the edge itself."""
@@ -156,26 +152,23 @@ class TestToolLack:
         assert (lack_behind(law.coupling(T), T).why == UNSTABLE) == (grown > 100.0)
         assert (size > 1.0) == (grown > 100.0)
 
-    @pytest.mark.parametrize(("own", "why", "root"), [
-        ({"theta_f": 0.0}, UNSTABLE, -2.618),  # semi-implicit Euler, k dt^2/m = 5
-        ({"theta_f": 0.0, "mass": 0.0251}, ANTICIPATES, -1.0),
-        ({"theta_f": 0.0, "mass": 0.0249}, UNSTABLE, -1.1),
-        ({"theta_f": 0.3, "mass": 0.1}, ANTICIPATES, 0.0),
-        ({"theta_f": 0.0, "theta_x": 0.0}, UNSTABLE, 0.0),
-        ({"theta_f": 1.0, "theta_x": 0.0}, UNSTABLE, 0.0),
-        ({"theta_f": 0.3, "theta_x": 1.0, "mass": 0.0}, UNSTABLE, -7 / 3),
-        ({"theta_f": 0.5, "theta_x": 0.5}, "", 0.0),
-        ({}, "", 0.0),
-    ])
-    def test_known_tools(self, own: dict[str, float], why: str, root: float) -> None:
-        law = VirtualCoupling(**own)
-        found = lack_behind(law.coupling(T), T)
-        assert found.why == why
-        assert found.alpha == (inf if why else 0.0)
-        if abs(root) > 1.2:
-            assert np.abs(np.roots(polynomials(law)[0])).max() == pytest.approx(abs(root), rel=1e-3)
+    def test_known_tools(self) -> None:
+        every: list[tuple[dict[str, float], str, float]] = [
+            ({"theta_f": 0.0}, UNSTABLE, -2.618),  # semi-implicit Euler, k dt^2/m = 5
+            ({"theta_f": 0.0, "mass": 0.0251}, ANTICIPATES, -1.0), ({"theta_f": 0.0, "mass": 0.0249}, UNSTABLE, -1.1),
+            ({"theta_f": 0.3, "mass": 0.1}, ANTICIPATES, 0.0), ({"theta_f": 0.0, "theta_x": 0.0}, UNSTABLE, 0.0),
+            ({"theta_f": 1.0, "theta_x": 0.0}, UNSTABLE, 0.0),
+            ({"theta_f": 0.3, "theta_x": 1.0, "mass": 0.0}, UNSTABLE, -7 / 3),
+            ({"theta_f": 0.5, "theta_x": 0.5}, "", 0.0), ({}, "", 0.0),
+        ]
+        for knobs, why, root in every:
+            law = VirtualCoupling(**knobs)
+            found = lack_behind(law.coupling(T), T)
+            assert (found.why, found.alpha) == (why, inf if why else 0.0), knobs
+            if abs(root) > 1.2:
+                assert np.abs(np.roots(polynomials(law)[0])).max() == pytest.approx(abs(root), rel=1e-3)
 
-    @settings(max_examples=100)
+    @settings(max_examples=40)
     @given(law=tools)
     def test_with_a_finite_alpha_it_is_positive_real_all_over_the_outside(self, law: VirtualCoupling) -> None:
         found = lack_behind(law.coupling(T), T)
@@ -184,7 +177,7 @@ class TestToolLack:
         if not found.why:
             assert (E.real + found.alpha >= -1e-6 * np.abs(E)).all()
 
-    @settings(max_examples=100)
+    @settings(max_examples=40)
     @given(law=tools.filter(lambda law: law.theta_f < 0.5), alpha=st.floats(0.0, 1e4))
     def test_where_it_anticipates_no_damper_does_it(self, law: VirtualCoupling, alpha: float) -> None:
         assert lack_behind(law.coupling(T), T).alpha == inf
@@ -194,20 +187,17 @@ class TestToolLack:
 
 
 class TestLack:
-    @pytest.mark.parametrize(("theta_f", "theta_x", "spring", "mass"), [
-        (0.0, 0.0, 0.5, 2.0), (0.0, 1.0, 0.0, 2.0), (0.5, 0.5, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0),
-    ])
-    def test_on_the_circle_springs_and_masses_by_integrator(
-            self, theta_f: float, theta_x: float, spring: float, mass: float) -> None:
+    def test_on_the_circle_springs_and_masses_by_integrator(self) -> None:
         k, m = 400.0, 0.02
-        bare = VirtualCoupling(K=1.0, mass=0.0 if theta_f else 1e-300, k_e=k, theta_f=theta_f, theta_x=theta_x)
-        heavy = VirtualCoupling(K=1.0, mass=m, k_e=0.0, theta_f=theta_f, theta_x=theta_x)
-        assert lack(lambda z: tool_impedance(bare, z, T), T).alpha == pytest.approx(spring * k * T, abs=1e-7)
-        assert lack(lambda z: tool_impedance(heavy, z, T), T).alpha == pytest.approx(mass * m / T, abs=1e-4)
-
-    def test_where(self) -> None:
-        heavy = VirtualCoupling(mass=0.02, k_e=0.0, theta_f=0.0, theta_x=1.0)
-        assert lack(lambda z: tool_impedance(heavy, z, T), T).frequency == pytest.approx(500.0, rel=1e-3)
+        for theta_f, theta_x, spring, mass in ((0.0, 0.0, 0.5, 2.0), (0.0, 1.0, 0.0, 2.0), (0.5, 0.5, 0.0, 0.0),
+                                               (1.0, 1.0, 0.0, 0.0)):
+            bare = VirtualCoupling(K=1.0, mass=0.0 if theta_f else 1e-300, k_e=k, theta_f=theta_f, theta_x=theta_x)
+            heavy = VirtualCoupling(K=1.0, mass=m, k_e=0.0, theta_f=theta_f, theta_x=theta_x)
+            assert lack(lambda z, tool=bare: tool_impedance(tool, z, T), T).alpha == pytest.approx(  # type: ignore[misc]
+                spring * k * T, abs=1e-7)
+            found = lack(lambda z, tool=heavy: tool_impedance(tool, z, T), T)  # type: ignore[misc]
+            assert found.alpha == pytest.approx(mass * m / T, abs=1e-4)
+            assert (theta_f, theta_x) != (0.0, 1.0) or found.frequency == pytest.approx(500.0, rel=1e-3)
 
 
 class TestCost:
@@ -267,7 +257,7 @@ def environment(alpha: float, b: float, k: float, m: float) -> Ratio:
 
 
 class TestClosedLoops:
-    @settings(max_examples=80)
+    @settings(max_examples=40)
     @given(K=st.floats(10.0, 5e3), B=B, share=part, d=st.integers(0, 2), b=st.sampled_from([0.0, 0.1, 5.0]),
            k=st.sampled_from([0.0, 10.0, 1e3, 1e5]), m_e=st.floats(1e-4, 1.0), m=st.floats(5e-3, 1.0),
            hand=st.floats(1.0, 5e3))
@@ -278,31 +268,6 @@ class TestClosedLoops:
         needed = needed_damping(spring_damper(K, B, T), alpha, T, d=d).damping
         Z = in_series(coupling(K, B), environment(alpha, b, k, m_e))
         assert radius(Z, d, m, needed * (1 + 1e-6), hand) <= 1.0 + 1e-6
-
-    @pytest.mark.parametrize(("K", "B", "share", "d"), [
-        (500.0, 1.0, 0.8, 0), (500.0, 1.0, 0.6, 0), (1000.0, 0.01, 0.5, 1),
-    ])
-    def test_with_1_percent_less_some_loop_is_not(self, K: float, B: float, share: float, d: int) -> None:
-        """The worst environment at a low frequency, and the hand that resonates there."""
-        th = 0.04
-        alpha = share * (K * T / 2 + B)
-        needed = needed_damping(spring_damper(K, B, T), alpha, T, d=d)
-        assert needed.frequency < 1.0  # Hz: the damping is needed for slow motion
-        z = np.exp(1j * th)
-        C = complex(spring_damper(K, B, T)(z))
-        Y = np.r_[-np.geomspace(1e-5, 1e5, 20000)[::-1], np.geomspace(1e-5, 1e5, 20000)]
-        E = C.real - alpha + 1j * Y - C
-        i = int((-np.exp(-1j * (d + 1) * th) * C * E / (C + E)).real.argmax())
-        X = E[i].imag  # the reactance of the worst environment
-        tool = environment(alpha, 0.0, max(0.0, -2.0 * X * tan(th / 2) / T), max(0.0, X * T / 2 / tan(th / 2)))
-        Z = in_series(coupling(K, B), tool)
-        # A hand and mass that swing at th together with what is rendered.
-        w = th / T
-        rendered_reactance = (np.exp(-1j * (d + 1) * th) * C * E[i] / (C + E[i])).imag
-        m = max(0.5, -2.0 * rendered_reactance / w)
-        hands = [w * (m * w + rendered_reactance) * factor for factor in np.linspace(0.97, 1.03, 61)]
-        assert max(radius(Z, d, m, 0.99 * needed.damping, hand) for hand in hands) > 1.0 + 1e-9
-        assert max(radius(Z, d, m, 1.001 * needed.damping, hand) for hand in hands) <= 1.0 + 1e-6
 
     def test_without_a_coupling_an_environment_that_lacks_nothing_may_need_anything(self) -> None:
         for k in (1e3, 1e5, 1e7):

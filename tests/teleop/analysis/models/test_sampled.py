@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import expm
 
 from teleop.analysis.models.linear import StateSpace
 from teleop.analysis.models.peak import highest
@@ -19,7 +18,6 @@ from teleop.analysis.models.sampled import (
     quantised_stiffness,
     spring_damper,
 )
-from teleop.errors import Refused
 from tests.teleop.analysis.models.closed_forms import filtered_wall, wall_damping
 
 T = 1e-3
@@ -27,24 +25,25 @@ stiffness = st.floats(0.0, 1e4)
 damping = st.floats(-5.0, 5.0)
 
 
-@pytest.mark.parametrize(("K", "B", "d", "b_min"), [
-    (1600.0, 0.0, 0, 0.8), (800.0, 0.4, 0, 0.8), (1000.0, 0.0, 1, 1.5), (1000.0, 0.5, 1, 1.25), (1000.0, 0.5, 5, 5.0),
-])
-def test_walls_with_known_limits(K: float, B: float, d: int, b_min: float) -> None:
-    assert wall_damping(K, B, T, d).damping == pytest.approx(b_min, rel=1e-11)
-    assert needed_damping(spring_damper(K, B, T), T, d=d).damping == pytest.approx(b_min, rel=1e-9)
+def test_walls_with_known_limits() -> None:
+    for K, B, d, b_min in ((1600.0, 0.0, 0, 0.8), (800.0, 0.4, 0, 0.8), (1000.0, 0.0, 1, 1.5), (1000.0, 0.5, 1, 1.25),
+                           (1000.0, 0.5, 5, 5.0)):
+        assert wall_damping(K, B, T, d).damping == pytest.approx(b_min, rel=1e-11)
+        assert needed_damping(spring_damper(K, B, T), T, d=d).damping == pytest.approx(b_min, rel=1e-9)
 
 
 class TestSpringDamper:
+    @settings(max_examples=30)
     @given(K=stiffness, B=damping)
     def test_without_delay_it_is_colgates_rule(self, K: float, B: float) -> None:
         assert wall_damping(K, B, T).damping == pytest.approx(K * T / 2 + abs(B), rel=1e-10, abs=1e-12)
 
+    @settings(max_examples=30)
     @given(K=stiffness, d=st.integers(0, 300))
     def test_a_spring_alone_needs_half_a_sample_and_the_delay(self, K: float, d: int) -> None:
         assert wall_damping(K, 0.0, T, d).damping == pytest.approx(K * T * (0.5 + d), rel=1e-10)
 
-    @settings(max_examples=40)
+    @settings(max_examples=20)
     @given(K=stiffness, B=damping, d=st.integers(0, 40))
     def test_the_search_for_any_controller_agrees(self, K: float, B: float, d: int) -> None:
         found = needed_damping(spring_damper(K, B, T), T, d=d)
@@ -68,6 +67,7 @@ def colgate_schenkel(H: complex, w: float) -> float:
     return float(T / 2 / (1 - np.cos(w * T)) * ((1 - turn) * H).real)
 
 
+@settings(max_examples=50)
 @given(K=stiffness, B=damping, cut=st.floats(1.0, 400.0), w=st.floats(10.0, pi / T), d=st.integers(0, 5))
 def test_the_curve_is_colgate_and_schenkels(K: float, B: float, cut: float, w: float, d: int) -> None:
     z = np.exp(1j * w * T)
@@ -105,18 +105,15 @@ def energy_bound(K: float, B: float, d: int, every: int, renewals: int = 30, par
     return float(-np.linalg.eigvalsh(0.5 * (work + work.T)).min() / h)
 
 
-@pytest.mark.parametrize(("K", "B", "d", "every"), [
-    (1000.0, 0.0, 0, 1), (1000.0, 0.4, 1, 1), (1000.0, 0.0, 0, 3), (1000.0, 0.0, 1, 2), (1000.0, 0.5, 0, 3),
-    (1000.0, -0.4, 2, 4),
-])
-def test_a_force_renewed_slowly_makes_as_much_energy_as_the_form_says(K: float, B: float, d: int, every: int) -> None:
-    bound = needed_damping(spring_damper(K, B, T), T, d=d, every=every).damping
-    made = energy_bound(K, B, d, every)
-    assert 0.93 * bound < made < bound * (1 + 1e-9)
+def test_a_force_renewed_slowly_makes_as_much_energy_as_the_form_says() -> None:
+    for K, B, d, every in ((1000.0, 0.0, 0, 1), (1000.0, 0.4, 1, 1), (1000.0, 0.0, 0, 3), (1000.0, 0.0, 1, 2),
+                           (1000.0, 0.5, 0, 3), (1000.0, -0.4, 2, 4)):
+        bound = needed_damping(spring_damper(K, B, T), T, d=d, every=every).damping
+        assert 0.93 * bound < energy_bound(K, B, d, every) < bound * (1 + 1e-9), (B, d, every)
 
 
 @given(K=stiffness, every=st.integers(1, 12), periods=st.integers(0, 3))
-@settings(max_examples=30)
+@settings(max_examples=12)
 def test_a_spring_renewed_slowly_is_one_with_a_longer_sample(K: float, every: int, periods: int) -> None:
     got = needed_damping(spring_damper(K, 0.0, T), T, d=periods * every, every=every).damping
     assert got == pytest.approx(K * every * T * (0.5 + periods), rel=1e-8, abs=1e-9)
@@ -127,40 +124,7 @@ def test_a_delay_of_part_of_a_period_needs_more_than_the_sum_of_both() -> None:
     assert got == pytest.approx(1.0 * (1 + 5**0.5 / 2), rel=1e-8)  # not K (nT/2 + dT) = 2
 
 
-def loop_radius(K: float, B: float, d: int, m: float, b: float, k: float, c: float) -> float:
-    """The spectral radius of device, hand (k, c) and sampled wall, by the matrix exponential."""
-    A = np.array([[0.0, 1.0, 0.0], [-k / m, -(b + c) / m, -1.0 / m], [0.0, 0.0, 0.0]])
-    step = expm(A * T)
-    n = 3 + d  # x, v, x before, forces that are late
-    loop = np.zeros((n, n))
-    law = np.zeros(n)
-    law[0], law[2] = K + B / T, -B / T
-    acting = law if d == 0 else np.eye(n)[3]
-    loop[:2, :2] = step[:2, :2]
-    loop[:2] += np.outer(step[:2, 2], acting)
-    loop[2, 0] = 1.0
-    for i in range(d):
-        loop[3 + i] = law if i == d - 1 else np.eye(n)[4 + i]
-    return float(np.abs(np.linalg.eigvals(loop)).max())
-
-
-@settings(max_examples=60)
-@given(K=st.floats(1.0, 5e3), B=st.floats(-1.0, 3.0), d=st.integers(0, 6), m=st.floats(5e-3, 2.0),
-       k=st.floats(1.0, 5e3))
-def test_whatever_passive_hand_holds_a_passive_wall_the_loop_is_stable(
-        K: float, B: float, d: int, m: float, k: float) -> None:
-    b = wall_damping(K, B, T, d).damping
-    assert loop_radius(K, B, d, m, b, k, 0.0) <= 1.0 + 1e-9
-
-
-@pytest.mark.parametrize(("d", "K"), [(0, 1605.35), (1, 536.28), (5, 148.08), (10, 78.75), (100, 9.741)])
-def test_the_loop_of_this_file_is_right(d: int, K: float) -> None:
-    """Critical stiffnesses of 0.04 kg and 0.8 N s/m, with no hand."""
-    below, above = (loop_radius(K * factor, 0.0, d, 0.04, 0.8, 0.0, 0.0) for factor in (0.9995, 1.0005))
-    assert below < 1.0 < above
-    assert wall_damping(K, 0.0, T, d).damping > 0.8 * (1 + 1e-4)  # passivity asks for more
-
-
+@settings(max_examples=30)
 @given(place=st.floats(0.01, 3.1), width=st.floats(0.05, 2.0))
 def test_a_maximum_between_two_places_is_zoomed_in_on(place: float, width: float) -> None:
     found = highest(lambda th: 2.0 - ((th - place) / width) ** 2)
@@ -168,20 +132,6 @@ def test_a_maximum_between_two_places_is_zoomed_in_on(place: float, width: float
     assert found.th == pytest.approx(place, abs=1e-6)
 
 
-class TestQuantised:
-    def test_the_smaller_of_both(self) -> None:
-        assert quantised_stiffness(b=0.8, T=T, step=1e-5, friction=0.02) == pytest.approx(1600.0)
-        assert quantised_stiffness(b=0.8, T=T, step=1e-5, friction=0.004) == pytest.approx(800.0)
-
-    def test_without_steps_damping_alone_counts(self) -> None:
-        assert quantised_stiffness(b=0.8, T=T, step=0.0, friction=0.0) == pytest.approx(1600.0)
-
-    def test_steps_without_friction_allow_no_spring(self) -> None:
-        assert quantised_stiffness(b=0.8, T=T, step=1e-5, friction=0.0) == 0.0
-
-
-def test_wrong_numbers_are_refused() -> None:
-    wall = spring_damper(1.0, 0.0, T)
-    for wrong in ({"T": 0.0}, {"T": T, "d": -1}, {"T": T, "every": 0}):
-        with pytest.raises(Refused):
-            needed_damping(wall, **wrong)  # type: ignore[arg-type]
+def test_the_stiffness_behind_an_encoder_is_the_smaller_of_both_bounds() -> None:
+    for step, friction, K in ((1e-5, 0.02, 1600.0), (1e-5, 0.004, 800.0), (0.0, 0.0, 1600.0), (1e-5, 0.0, 0.0)):
+        assert quantised_stiffness(b=0.8, T=T, step=step, friction=friction) == pytest.approx(K)

@@ -26,11 +26,6 @@ T = 1e-3
 class TestOneAxisOfSeveral:
     """--axis NAME asks of the loop along that axis, in its units, and of no other."""
 
-    def test_axes_with_parts_of_their_own_are_told_to_be_named(self, capsys: pytest.CaptureFixture[str]) -> None:
-        for name, first in (("leader_follower", "base"), ("pose", "x")):
-            assert main(["passivity", name]) == 2
-            assert f"--axis {first}" in capsys.readouterr().err
-
     def test_of_a_two_port(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["passivity", "pose", "--axis", "rx"]) == 0
         out = capsys.readouterr().out
@@ -38,8 +33,6 @@ class TestOneAxisOfSeveral:
         assert "N/m" not in out
         units = summary(ask(along(load_scene("pose"), "rx")))["units"]
         assert (units["felt_stiffness"], units["free_impedance"], units["range"]) == ("N m/rad", "N m s/rad", "Hz")
-        assert main(["passivity", "pose", "--axis", "nowhere"]) == 2
-        assert "there are" in capsys.readouterr().err
 
     def test_of_a_one_port(self) -> None:
         """Of two axes the second is the wall that the scene of one axis has by itself, the first another."""
@@ -47,8 +40,6 @@ class TestOneAxisOfSeveral:
         soft, hard = replace(one.law, K=500.0), replace(one.law, K=800.0)  # type: ignore[type-var]
         two = replace(one, axes=2, law=(soft, hard))
         assert [ask(along(two, name)).one.stiffness for name in "xy"] == pytest.approx([500.0, 800.0])  # type: ignore[union-attr]
-        with pytest.raises(Refused, match="--axis x"):
-            ask(two)
 
 
 class TestOnePort:
@@ -59,11 +50,11 @@ class TestOnePort:
         assert got.passive
         assert not one_port(load_scene("virtual_wall", **{"law.K": 800.0, "law.B": 0.41})).passive
 
-    @pytest.mark.parametrize(("delay", "every"), [(3, 1), (0, 4), (2, 3)])
-    def test_delay_and_slow_renewal(self, delay: int, every: int) -> None:
-        got = one_port(load_scene("virtual_wall", delay=delay, every=every, **{"law.B": 0.2}))
-        wanted = sampled.needed_damping(sampled.spring_damper(800.0, 0.2, T), T, d=delay, every=every)
-        assert got.needed.damping == pytest.approx(wanted.damping, rel=1e-8)
+    def test_delay_and_slow_renewal(self) -> None:
+        for delay, every in ((3, 1), (0, 4), (2, 3)):
+            got = one_port(load_scene("virtual_wall", delay=delay, every=every, **{"law.B": 0.2}))
+            wanted = sampled.needed_damping(sampled.spring_damper(800.0, 0.2, T), T, d=delay, every=every)
+            assert got.needed.damping == pytest.approx(wanted.damping, rel=1e-8), (delay, every)
 
     def test_a_filtered_velocity(self) -> None:
         scene = load_scene("virtual_wall", **{"law.B": 0.4})
@@ -102,10 +93,6 @@ class TestOnePort:
         assert f"not passive by any alpha_e: {ANTICIPATES}" in table(got)
         assert f"explicit {UNSTABLE}, semi-implicit {ANTICIPATES}, trapezoid passive" in table(got)
 
-    def test_an_explicit_tool_that_grows_by_itself(self) -> None:
-        with pytest.raises(Refused, match="grows by itself"):
-            one_port(load_scene("virtual_coupling", **{"law.theta_f": 0.0, "law.theta_x": 0.0}))
-
     def test_a_semi_implicit_tool_needs_a_mass(self) -> None:
         """z = -1 is a root of m (z-1)^2 + B T (z-1) + (K + k_e) T^2 z at 4 m = 2 B T + (K + k_e) T^2."""
         least = (2 * 0.2 * T + 101_000.0 * T**2) / 4
@@ -114,21 +101,17 @@ class TestOnePort:
         with pytest.raises(Refused, match="grows by itself"):
             one_port(load_scene("virtual_coupling", **own, **{"law.mass": 0.99 * least}))
 
-    def test_a_scene_with_a_slave_is_the_other_question(self) -> None:
-        with pytest.raises(Refused, match="two ports"):
-            one_port(load_scene("canonical"))
+
+def test_every_answer_is_json_and_a_short_table() -> None:
+    for name, ports in (("virtual_wall", 1), ("virtual_coupling", 1), ("encoder_wall", 1), ("canonical", 2)):
+        answer = ask(load_scene(name))
+        told = json.loads(json.dumps(summary(answer), allow_nan=False, default=str))
+        assert told["ports"] == ports
+        assert answer.sentence in table(answer)
+        assert len(table(answer).splitlines()) <= 12
 
 
-@pytest.mark.parametrize("name", ["virtual_wall", "virtual_coupling", "encoder_wall", "canonical", "soft_tissue"])
-def test_every_answer_is_json_and_a_short_table(name: str) -> None:
-    answer = ask(load_scene(name))
-    told = json.loads(json.dumps(summary(answer), allow_nan=False, default=str))
-    assert told["ports"] == (1 if "wall" in name or name == "virtual_coupling" else 2)
-    assert answer.sentence in table(answer)
-    assert len(table(answer).splitlines()) <= 12
-
-
-@pytest.mark.parametrize("scene", ["soft_tissue", "canonical"])
+@pytest.mark.parametrize("scene", ["soft_tissue", pytest.param("canonical", marks=pytest.mark.full)])
 def test_no_dashed_curve_is_hidden_under_a_solid_one_of_its_colour(
     scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -161,33 +144,12 @@ class TestCommand:
 
     def test_files_and_figure(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         pytest.importorskip("matplotlib")
-        for scene in ("virtual_coupling", "soft_tissue"):
+        for scene, *more in (("virtual_coupling", "--plot"), ("soft_tissue",)):
             out = tmp_path / scene
-            assert main(["passivity", scene, "--out", str(out), "--plot", "--json"]) == 0
+            assert main(["passivity", scene, "--out", str(out), "--json", *more]) == 0
             assert json.loads(capsys.readouterr().out)["path"] == str(out)
-            assert {path.name for path in out.iterdir()} == {"summary.json", "curves.npz", "passivity.png"}
-            assert (out / "passivity.png").read_bytes()[:4] == b"\x89PNG"
+            drawn = {"passivity.png"} if more else set()
+            assert {path.name for path in out.iterdir()} == {"summary.json", "curves.npz"} | drawn
             with np.load(out / "curves.npz") as curves:
                 assert all(np.isfinite(curves[key]).all() for key in curves if not key.endswith("eta"))
-
-    @pytest.mark.parametrize(("typed", "said"), [
-        (["passivity", "hard_wall", "--set", "law=pfra"], "law.alpha=1"),
-        (["passivity", "jittery_wan"], "delay(0.05)"),
-        (["passivity", "virtual_wall", "--range", "10"], "LOW:HIGH"),
-        (["passivity", "virtual_wall", "--range", "10:1"], "lower end first"),
-        (["passivity", "virtual_wall", "--range", "1:501"], "half the rate"),
-        (["passivity", "canonical", "--range", "1:499"], "not above 0.49 of the rate, 490 Hz"),
-        (["passivity", "virtual_wall", "--set", "velocity=end_fit(noise=1e-5)", "--set", "law.B=0.3"],
-         "take a linear one, --set 'velocity=backward_difference()'"),
-        (["passivity", "virtual_wall", "--range", "1:nan"], "must be finite"),
-    ])
-    def test_wrong_requests_are_answered_in_one_sentence(
-            self, typed: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,
-            monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.chdir(tmp_path)
-        assert main(typed) == 2
-        out, err = capsys.readouterr()
-        assert out == ""
-        assert said in err
-        assert len(err.splitlines()) == 1
-        assert not list(tmp_path.iterdir())
+        assert (tmp_path / "virtual_coupling" / "passivity.png").read_bytes()[:4] == b"\x89PNG"

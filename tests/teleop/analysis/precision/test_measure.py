@@ -70,9 +70,10 @@ def by_key(got: Precision) -> dict[str, Entry]:
 
 class TestTheReference:
     @pytest.mark.parametrize(("name", "knobs"), [
-        ("canonical", {}), ("canonical", {"k_e": 1e6, "d_e": 0.0}), ("canonical", {"k_e": 1e8}),
-        ("canonical", {"k_e": 1e9, "d_e": 100.0}), ("hard_wall", {"k_e": 1e6, "duration": 2.0}),
-        ("canonical", {"k_e": 1e3, "d_e": 100.0}), ("soft_tissue", {}), ("free_motion", {}),
+        ("canonical", {"k_e": 1e9, "d_e": 100.0}), *(pytest.param(*each, marks=pytest.mark.full) for each in (
+            ("canonical", {}), ("canonical", {"k_e": 1e6, "d_e": 0.0}), ("canonical", {"k_e": 1e8}),
+            ("canonical", {"k_e": 1e3, "d_e": 100.0}), ("hard_wall", {"k_e": 1e6, "duration": 2.0}),
+            ("soft_tissue", {}), ("free_motion", {}))),
     ])
     def test_one_exact_step_is_that_of_40_digits_at_every_tick(self, name: str, knobs: dict[str, float]) -> None:
         scene = load_scene(name, **{"duration": 0.7, **knobs})
@@ -126,11 +127,12 @@ class TestContacts:
         assert len(turned)
         assert felt_at[turned].all()
 
-    @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
-    @pytest.mark.parametrize("damping", [0.0, 20.0])
-    def test_in_free_space_nobody_feels_anything(self, method: Any, damping: float) -> None:
-        scene = strike(environment=None, slave=MassDamper(mass=0.3, damping=damping))
-        assert not touching(scene, run(scene, bodies=method_bodies(scene, method, 4)).trace).any()
+    def test_in_free_space_nobody_feels_anything(self) -> None:
+        for method in METHODS:
+            for damping in (0.0, 20.0):
+                scene = strike(environment=None, slave=MassDamper(mass=0.3, damping=damping), duration=0.03)
+                trace = run(scene, bodies=method_bodies(scene, method, 4)).trace
+                assert not touching(scene, trace).any(), (method.name, damping)
 
     def test_contacts_near_each_other_are_one_and_one_that_was_not_felt_is_missed(self) -> None:
         touching = np.zeros(200, dtype=bool)
@@ -154,18 +156,18 @@ class TestAComparison:
         assert struck.left_out == {}
         assert {e.runs for e in struck.entries if e.contender.rtol is None} == {2}
 
-    @pytest.mark.parametrize("key", ["euler/1", "rk4/16", "sdirk2/4", "LSODA/1e-06"])
-    def test_errors_are_the_distance_from_the_exact_run(self, struck: Precision, key: str) -> None:
-        method, step = key.split("/")
+    def test_errors_are_the_distance_from_the_exact_run(self, struck: Precision) -> None:
         scene = struck.scene
-        bodies = outsider_bodies(scene, method, float(step)) if method == "LSODA" else (
-            method_bodies(scene, BY_NAME[method], int(step)))
-        got, want = run(scene, bodies=bodies).trace, run(scene).trace
-        entry = by_key(struck)[key]
-        for name in ("x_s", "x_m", "f_env"):
-            off = np.abs(got[name] - want[name])
-            assert entry.errors[name] == pytest.approx((off.max(), np.sqrt(np.mean(off**2)), off[-1]), rel=1e-12)
-        assert entry.peak_ratio == pytest.approx(got["f_env"].max() / want["f_env"].max())
+        want = run(scene).trace
+        for key in ("euler/1", "sdirk2/4", "LSODA/1e-06"):
+            method, step = key.split("/")
+            bodies = outsider_bodies(scene, method, float(step)) if method == "LSODA" else (
+                method_bodies(scene, BY_NAME[method], int(step)))
+            got, entry = run(scene, bodies=bodies).trace, by_key(struck)[key]
+            for name in ("x_s", "x_m", "f_env"):
+                off = np.abs(got[name] - want[name])
+                assert entry.errors[name] == pytest.approx((off.max(), np.sqrt(np.mean(off**2)), off[-1]), rel=1e-12)
+            assert entry.peak_ratio == pytest.approx(got["f_env"].max() / want["f_env"].max())
 
     def test_finer_is_more_accurate_and_nobody_comes_near_exact(self, struck: Precision) -> None:
         entries = by_key(struck)
@@ -188,13 +190,17 @@ class TestAComparison:
         assert np.isnan(along["x_err"][:2]).all()
         assert np.nanmax(along["x_s:euler/1"]) == by_key(struck)["euler/1"].errors["x_s"].max
 
-    def test_a_long_run_keeps_the_largest_error_of_every_stretch(
+    def test_a_long_run_keeps_the_largest_error_of_every_stretch_and_progress_goes_from_nothing_to_all(
         self, quick: None, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(teleop.analysis.precision.measure, "BINS", 7)
-        got = measure(strike(), clock=count(0, 1000).__next__, rounds=1)
+        shown: list[float] = []
+        got = measure(strike(duration=0.05), clock=count(0, 1000).__next__, rounds=2,
+                      show=lambda part, _: shown.append(part))
         assert all(len(column) == 7 for column in got.along.values())
         assert np.nanmax(got.along["f_env:rk4/1"]) == by_key(got)["rk4/1"].errors["f_env"].max
+        assert shown == sorted(shown)
+        assert (shown[0], shown[-1]) == (0.0, 1.0)
 
     def test_what_diverges_or_misses_is_marked_and_kept(self, quick: None) -> None:
         hard = strike(environment=Wall(k=1e9, d=0.0, at=1e-3), duration=0.3)
@@ -274,20 +280,10 @@ class TestTheBudget:
         assert got.left_out == {}
         assert got.rounds == 3
 
-    def test_progress_goes_from_nothing_to_all(self, quick: None) -> None:
-        shown: list[float] = []
-        measure(strike(duration=0.02), clock=count(0, 1000).__next__, rounds=2, show=lambda part, _: shown.append(part))
-        assert shown == sorted(shown)
-        assert (shown[0], shown[-1]) == (0.0, 1.0)
-
-    def test_a_run_far_too_long_is_refused_before_anything_is_run(self) -> None:
-        with pytest.raises(Refused, match=r"2000000 ticks are too many .* --set duration=10, or write --rounds 1"):
-            measure(strike(duration=2000.0), clock=lambda: 0)
-
-    @pytest.mark.parametrize("rounds", [0, -1, True, 1.5, "2"])
-    def test_what_is_no_number_of_rounds_is_refused(self, rounds: Any) -> None:
-        with pytest.raises(Refused, match=r"rounds must be a whole number of at least 1, .*; write --rounds 3"):
-            measure(strike(), clock=lambda: 0, rounds=rounds)
+    def test_what_is_no_number_of_rounds_is_refused_before_anything_is_run(self) -> None:
+        for rounds in (True, 1.5, "2"):
+            with pytest.raises(Refused, match=r"rounds must be a whole number of at least 1, .*; write --rounds 3"):
+                measure(strike(), clock=lambda: 0, rounds=rounds)  # type: ignore[arg-type]
 
 
 class TestTheFigure:
@@ -304,7 +300,7 @@ class TestTheFigure:
 class TestTheCommand:
     def test_table_files_and_figure(self, typed: Typed, quick: None, tmp_path: Path) -> None:
         pytest.importorskip("matplotlib")
-        got = typed("precision", "canonical", "--set", "duration=0.3", "--rounds", "1", "--out", "here", "--plot")
+        got = typed("precision", "canonical", "--set", "duration=0.1", "--rounds", "1", "--out", "here", "--plot")
         assert got.code == 0
         for word in ("exact ", "radau/64", "LSODA/1e-06", "not beaten: ", "tracking error", "f_env rms"):
             assert word in got.out
@@ -315,9 +311,8 @@ class TestTheCommand:
             assert {"t", "x_err", "f_err", "x_s:exact", "f_env:radau/64"} <= set(arrays)
 
     def test_one_axis_of_several_is_told_in_its_units(self, typed: Typed, quick: None, tmp_path: Path) -> None:
-        short = ["precision", "pose", "--set", "duration=0.05", "--rounds", "1", "--out", str(tmp_path / "p")]
-        assert typed(*short)[0] == 2
-        code, out, _ = typed(*short, "--axis", "rx")
+        code, out, _ = typed("precision", "pose", "--set", "duration=0.05", "--rounds", "1", "--out",
+                             str(tmp_path / "p"), "--axis", "rx")
         assert code == 0
         assert " rad" in out
         assert not re.search(r"\d [unmk]?(m|N)\b(?! m)", out)
@@ -335,23 +330,6 @@ class TestTheCommand:
         assert told["reference"]["per_tick"]["40 digits"]["x"] < 1e-15
         assert set(told["reference"]["step_ns"]) == {"exact", "semi_implicit_euler/1"}
 
-    @pytest.mark.parametrize(("arguments", "words"), [
-        (["hard_wal"], ["did you mean hard_wall?"]), (["canonical", "--set", "dely=1"], ["dely", "delay"]),
-        (["canonical", "--rounds", "0"], ["--rounds", "at least 1", "'0'"]),
-        (["canonical", "--rounds", "some"], ["--rounds", "'some'"]),
-        (["canonical", "--rounds", "-2"], ["--rounds"]),
-        (["canonical", "--set", "duration=1e5"], ["too many", "--set duration=10"]),
-        (["canonical", "--out", "taken"], ["taken", "--out"]), ([], ["SCENE", "--help"]),
-        (["odd.py"], ["sideways", "walls, bonded tissue, free space"]),
-    ])
-    def test_a_wrong_request_is_one_sentence_and_leaves_nothing(
-        self, typed: Typed, tmp_path: Path, arguments: list[str], words: list[str]
-    ) -> None:
-        (tmp_path / "taken").mkdir()
-        (tmp_path / "odd.py").write_text(ODD)
-        typed("precision", *arguments).assert_refused(*words)
-        assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"taken", "odd.py"}
-
     def test_ctrl_c_leaves_nothing_half_written(
         self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -361,23 +339,3 @@ class TestTheCommand:
         monkeypatch.setattr("teleop.analysis.precision.report.measure", stopped)
         assert typed("precision", "canonical").code == 130
         assert list(tmp_path.iterdir()) == []
-
-
-ODD = '''
-from dataclasses import dataclass
-from teleop import Scene, Wave
-from teleop.physics.plant import MassDamper, Plant, no_force
-
-def sideways(c, x, v, f):
-    return x, v, 0
-
-@dataclass(frozen=True, kw_only=True)
-class Odd:
-    def plant(self, body, dt):
-        return Plant(sideways, no_force, ())
-
-def scene() -> Scene:
-    "A world of its own."
-    body = MassDamper(mass=1.0)
-    return Scene(law=Wave(), master=body, slave=body, environment=Odd(), duration=0.05)
-'''

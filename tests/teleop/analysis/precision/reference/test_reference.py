@@ -22,14 +22,15 @@ BODY = MassDamper(mass=M, damping=B)
 
 
 @both
-@pytest.mark.parametrize(("k", "d"), [(2e4, 10.0), (1e6, 0.0), (1e3, 50.0), (1e6, 200.0)])
-@pytest.mark.parametrize(("p", "u", "f"), [
-    (-2e-4, 0.5, 1.0), (3e-4, -0.6, 2.0), (1e-3, 0.1, -3.0), (0.0, 0.2, 0.0), (0.0, 0.0, 1.0), (5e-5, -1.0, 30.0),
-])
-def test_at_a_wall_it_is_the_exact_step(solver: str, k: float, d: float, p: float, u: float, f: float) -> None:
-    exact = wall(BODY, 1e-3, k=k, d=d, at=0.01, side=-1.0)
-    q, w, _ = settle((WALL, M, B, k, d, 1.5, 0.0, 0.0), p, u, f, 0.0, 1e-3, solver)
-    assert (0.01 - q, -w) == pytest.approx(exact.move(exact.c, 0.01 - p, -u, -f)[:2], rel=1e-12, abs=1e-12 * 1e-3)
+def test_at_a_wall_it_is_the_exact_step(solver: str) -> None:
+    states = [(-2e-4, 0.5, 1.0), (3e-4, -0.6, 2.0), (1e-3, 0.1, -3.0), (0.0, 0.2, 0.0), (0.0, 0.0, 1.0),
+              (5e-5, -1.0, 30.0)]
+    for k, d in ((2e4, 10.0), (1e6, 0.0), (1e3, 50.0), (1e6, 200.0)):
+        exact = wall(BODY, 1e-3, k=k, d=d, at=0.01, side=-1.0)
+        for p, u, f in states if solver == "DOP853" else states[:2]:
+            q, w, _ = settle((WALL, M, B, k, d, 1.5, 0.0, 0.0), p, u, f, 0.0, 1e-3, solver)
+            moved = exact.move(exact.c, 0.01 - p, -u, -f)[:2]
+            assert (0.01 - q, -w) == pytest.approx(moved, rel=1e-12, abs=1e-15), (k, d, p, u, f)
 
 
 @both
@@ -43,7 +44,7 @@ def test_bonded_it_is_the_exact_step(solver: str) -> None:
 
 
 @both
-@pytest.mark.parametrize("n", [1.0, 1.5, 2.0])
+@pytest.mark.parametrize("n", [1.5, *(pytest.param(n, marks=pytest.mark.full) for n in (1.0, 2.0))])
 def test_a_hertz_impact_takes_its_time_and_comes_back_as_fast(solver: str, n: float) -> None:
     """`T = 2 (depth/u) sqrt(pi) Gamma(1 + 1/(n+1))/Gamma(1/2 + 1/(n+1))`, `depth^(n+1) = (n+1) m u^2/(2 k)`."""
     k, u, gap = 3e5, 0.3, 1e-4
@@ -57,7 +58,8 @@ def test_a_hertz_impact_takes_its_time_and_comes_back_as_fast(solver: str, n: fl
 
 
 @both
-@pytest.mark.parametrize(("n", "lam"), [(1.5, 1.0), (1.0, 3.0), (2.2, 0.2)])
+@pytest.mark.parametrize(("n", "lam"), [(2.2, 0.2), *(pytest.param(*each, marks=pytest.mark.full)
+                                                      for each in ((1.5, 1.0), (1.0, 3.0)))])
 def test_a_hunt_crossley_impact_has_its_restitution(solver: str, n: float, lam: float) -> None:
     """`m u' = -k p^n (1 + lam u)` by u/(1 + lam u): `lam u - log(1 + lam u)` is the same on the way in and out."""
     got = settle((HUNT_CROSSLEY, M, 0.0, 1e6, 0.0, n, lam, 0.0), -1e-4, 0.4, 0.0, 0.0, 0.2, solver)
@@ -100,7 +102,7 @@ def test_a_bonded_body_held_on_moving_ground_lets_go_where_the_spring_has_wound_
 # Itself, by the other method
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(1, 6))])
 def test_radau_and_dop853_agree_whatever_changes(seed: int) -> None:
     dice = random.Random(seed)
     seen = 0
