@@ -54,14 +54,11 @@ def growth(round_trip: int, *, dt: float, K: float, B: float, k_e: float) -> flo
     (94, 95, 1e-4, 400.0, 4.0, 400.0),  # first unstable at 9.5 ms, continuous time 9.504 ms
     (14, 15, 1e-4, 2000.0, 8.0, 2000.0),  # 1.5 ms, continuous time 1.520 ms
     (8, 9, 1e-3, 400.0, 4.0, 400.0),  # sampled at 1 kHz: first unstable at 9 ticks
+    (0, 2, 1e-3, 2000.0, 8.0, 2000.0),  # and at 2, the least there is
 ])
 def test_it_is_stable_up_to_the_delay_that_theory_gives(
     stable: int, unstable: int, dt: float, K: float, B: float, k_e: float
 ) -> None:
     """Known margins: |L| = 1 of the loop hand and master, delay, coupled slave in the wall, delay."""
-    assert growth(stable, dt=dt, K=K, B=B, k_e=k_e) < 0.0
+    assert stable == 0 or growth(stable, dt=dt, K=K, B=B, k_e=k_e) < 0.0
     assert growth(unstable, dt=dt, K=K, B=B, k_e=k_e) > 0.0
-
-
-def test_the_least_round_trip_there_is_at_1_khz_is_too_long_for_a_hard_wall() -> None:
-    assert growth(2, dt=1e-3, K=2000.0, B=8.0, k_e=2000.0) > 0.0

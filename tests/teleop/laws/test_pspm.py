@@ -36,6 +36,7 @@ def test_two_seconds(scene: str, delay: float, wanted: tuple[str, ...]) -> None:
     assert_printed(PSPM(), scene, delay, *wanted)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("scene", "wanted"), [
     ("canonical", "3.3"), ("hard_wall", "7.8"), ("soft_tissue", "5.2"), ("free_motion", "2.7"),
 ])

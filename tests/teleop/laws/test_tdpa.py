@@ -46,11 +46,13 @@ def test_two_seconds_over_50_ms(scene: str, wanted: tuple[str, ...]) -> None:
     assert_printed(TDPA(), scene, 0.05, *wanted)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("scene", "wanted"), [("canonical", "46.6"), ("soft_tissue", "21.7"), ("free_motion", "2.6")])
 def test_tracking_of_ten_seconds_over_50_ms(scene: str, wanted: str) -> None:
     assert printed(tracking_mm(TDPA(), scene)[0], wanted) == wanted
 
 
+@pytest.mark.full
 def test_tracking_against_a_hard_wall_is_within_what_chattering_changes() -> None:
     """Printed is 8.0 mm; from 0.5 s on G stays about 0, and the last bit decides whether a tick is paid for."""
     assert tracking_mm(TDPA(), "hard_wall")[0] == pytest.approx(8.0, abs=0.2)
@@ -63,10 +65,9 @@ def test_one_step_of_the_slave() -> None:
     assert back == Back(f_s, 0.0)
 
 
-@pytest.mark.parametrize(("G", "wanted"), [(1e-4, "2.00000"), (-1e-4, "-2.00000")])
-def test_one_step_of_the_master_that_is_pushed(G: float, wanted: str) -> None:
-    f_m, _, _ = master(TDPA(), TDPAMaster(G, 0.0, 0.0), at(v=-0.05), Back(4.0, 0.0))
-    assert f"{f_m:.5f}" == wanted
+def test_one_step_of_the_master_that_is_pushed() -> None:
+    for G, wanted in ((1e-4, "2.00000"), (-1e-4, "-2.00000")):
+        assert f"{master(TDPA(), TDPAMaster(G, 0.0, 0.0), at(v=-0.05), Back(4.0, 0.0))[0]:.5f}" == wanted
 
 
 @given(G=st.floats(-1e-3, 1e-2), x_d=place, x=place, v=speed, x_rx=place, v_rx=speed)
@@ -213,7 +214,9 @@ HOLD = {"K": 20000.0, "B": 12.0, "drift": 100.0}
 SHAKEN = {"delay": 0.005, "frequency": 20.0, "amplitude": 0.2, "duration": 2.0}
 
 
-@pytest.mark.parametrize(("B", "axes"), [(10.5, 1), (12.0, 1), (50.0, 1), (10.5, 3), (20.0, 3), (100.0, 3)])
+@pytest.mark.parametrize(("B", "axes"), [
+    (12.0, 1), (10.5, 3), *[pytest.param(*each, marks=pytest.mark.full) for each in (
+        (10.5, 1), (50.0, 1), (20.0, 3), (100.0, 3))]])
 def test_a_shaken_master_with_a_stiff_coupling_gets_no_more_than_the_seed(B: float, axes: int) -> None:
     """The hold of the coupling was not booked: 401 mJ came out at B = 12 N s/m, 2.7 J at 10.5 in one axis or three."""
     law = TDPA(**{**HOLD, "B": B})
@@ -236,14 +239,13 @@ def test_what_the_hold_leaves_of_a_tick_is_what_the_docstring_says(v: float, rat
         assert h < 1e-12 * (1.0 + K)
 
 
-@pytest.mark.parametrize("b", [PAYS * 1.001, 1.0, 20.0])
-def test_a_slave_that_owes_takes_energy_whatever_it_is_moved_by(b: float) -> None:
+def test_a_slave_that_owes_takes_energy_whatever_it_is_moved_by() -> None:
     """The quadratic form of the docstring in m and v, by numpy; a little less damping and it is below zero."""
     def least(b: float) -> float:
         off = -0.25 * (b - 1.0)
         return float(np.linalg.eigvalsh([[b + 0.75, off], [off, 0.5 * b - 0.25]])[0])
 
-    assert least(b) > 0.0 > least(0.99 * PAYS)
+    assert min(map(least, (PAYS * 1.001, 1.0, 20.0))) > 0.0 > least(0.99 * PAYS)
 
 
 def test_the_seed_is_the_slaves_and_what_the_master_may_owe() -> None:

@@ -40,6 +40,7 @@ def test_two_seconds_over_50_ms(scene: str, wanted: tuple[str, ...]) -> None:
     assert_printed(TwoLayer(), scene, 0.05, *wanted)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("scene", "wanted"), [
     ("canonical", "6.3"), ("hard_wall", "8.6"), ("soft_tissue", "6.7"), ("free_motion", "2.8"),
 ])

@@ -134,23 +134,19 @@ def test_a_tool_that_starts_behind_the_surface_is_put_before_it() -> None:
 
 
 # Textbook facts on the unit circle.
-ANGLES = np.linspace(1e-3, math.pi, 200)
+ANGLES = np.linspace(1e-3, math.pi, 50)
 
 
-@pytest.mark.parametrize(("name", "sign"), [("explicit", -0.5), ("trapezoid", 0.0), ("backward", 0.5)])
-def test_a_spring_is_active_lossless_or_passive_by_half_a_tick(name: str, sign: float) -> None:
-    law = weighted(VirtualCoupling(mass=1e-30, k_e=700.0), METHODS[name])
-    for th in ANGLES:
-        assert tool_impedance(law, cmath.exp(1j * th), DT).real == pytest.approx(sign * 700.0 * DT, abs=1e-10)
-
-
-@pytest.mark.parametrize(("name", "sign"), [
-    ("explicit", -2.0), ("semi-implicit", -2.0), ("trapezoid", 0.0), ("backward", 2.0)])
-def test_a_mass_too(name: str, sign: float) -> None:
-    law = weighted(VirtualCoupling(mass=0.3, k_e=0.0), METHODS[name])
-    for th in ANGLES[:-1]:  # at pi the trapezoid's mass is infinite
-        E = tool_impedance(law, cmath.exp(1j * th), DT)
-        assert E.real == pytest.approx(sign * 0.3 / DT * math.sin(th / 2.0) ** 2, abs=1e-9 * abs(E))
+def test_springs_and_masses_are_active_lossless_or_passive_by_half_a_tick() -> None:
+    for name, spring, mass in (("explicit", -0.5, -2.0), ("semi-implicit", None, -2.0), ("trapezoid", 0.0, 0.0),
+                               ("backward", 0.5, 2.0)):
+        for th in ANGLES[:-1]:  # at pi the trapezoid's mass is infinite
+            z = cmath.exp(1j * th)
+            if spring is not None:
+                E = tool_impedance(weighted(VirtualCoupling(mass=1e-30, k_e=700.0), METHODS[name]), z, DT)
+                assert E.real == pytest.approx(spring * 700.0 * DT, abs=1e-10), name
+            E = tool_impedance(weighted(VirtualCoupling(mass=0.3, k_e=0.0), METHODS[name]), z, DT)
+            assert E.real == pytest.approx(mass * 0.3 / DT * math.sin(th / 2.0) ** 2, abs=1e-9 * abs(E)), name
 
 
 def test_slowly_moved_the_tool_is_its_mass_damper_and_spring() -> None:
@@ -225,10 +221,10 @@ def test_an_explicitly_integrated_wall_asks_for_more() -> None:
     assert needed(law) > 0.8
 
 
-@pytest.mark.parametrize(("x", "v"), [(math.nan, 0.0), (0.1, math.nan)])
-def test_nan_stays_nan(x: float, v: float) -> None:
-    f_m, tool = VirtualCoupling().force(Tool(0.0, 0.0, 0.0), reading(x, v))
-    assert all(map(math.isnan, (f_m, *tool)))
+def test_nan_stays_nan() -> None:
+    for x, v in ((math.nan, 0.0), (0.1, math.nan)):
+        f_m, tool = VirtualCoupling().force(Tool(0.0, 0.0, 0.0), reading(x, v))
+        assert all(map(math.isnan, (f_m, *tool)))
 
 
 def test_it_reads_position_velocity_and_tick_alone() -> None:

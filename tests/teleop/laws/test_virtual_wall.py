@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -35,17 +34,11 @@ def test_it_pushes_out_or_not_at_all_and_only_inside(x: float, v: float, at: flo
     assert f_m == 0.0 or x > at
 
 
-def test_it_does_not_hold_back_what_leaves_faster_than_the_spring_pushes() -> None:
+def test_it_does_nothing_to_what_leaves_faster_than_the_spring_pushes_nor_on_its_surface_and_nan_stays_nan() -> None:
     assert felt(VirtualWall(K=500.0, B=3.0), 0.01, -2.0) == 0.0
-
-
-def test_on_its_surface_it_does_nothing_however_fast_the_device_comes() -> None:
     assert felt(VirtualWall(K=500.0, B=3.0, at=0.02), 0.02, 5.0) == 0.0
-
-
-@pytest.mark.parametrize(("x", "v"), [(math.nan, 0.0), (0.1, math.nan)])
-def test_nan_stays_nan(x: float, v: float) -> None:
-    assert math.isnan(felt(VirtualWall(B=1.0), x, v))
+    for x, v in ((math.nan, 0.0), (0.1, math.nan)):
+        assert math.isnan(felt(VirtualWall(B=1.0), x, v))
 
 
 def test_it_has_no_memory_and_reads_position_and_velocity_alone() -> None:

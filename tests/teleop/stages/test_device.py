@@ -89,25 +89,14 @@ class TestAnEstimator:
 
 
 class TestAForce:
-    @pytest.mark.parametrize("delay", [1, 7])
-    def test_that_is_computed_late_acts_so_many_ticks_after_its_reading(self, delay: int) -> None:
-        wall = VirtualWall(K=300.0)
-        trace = run(scene(law=wall, slave=None, environment=None, device_m=Device(delay=delay))).trace
-        assert (trace["f_m"][:delay] == 0.0).all()
-        assert trace["f_m"][delay:].tolist() == [300.0 * x if x > 0.0 else 0.0 for x in trace["x_m"][:-delay]]
-
-    @pytest.mark.parametrize("every", [2, 5])
-    def test_that_is_renewed_slowly_is_held_between(self, every: int) -> None:
-        trace = run(scene(law=VirtualWall(K=300.0), slave=None, environment=None, device_m=Device(every=every))).trace
-        newest = trace["x_m"][np.arange(len(trace["t"])) // every * every]
-        assert trace["f_m"].tolist() == [300.0 * x if x > 0.0 else 0.0 for x in newest]
-
-    def test_of_both_kinds_is_first_late_and_then_held(self) -> None:
-        device = Device(delay=3, every=4)
-        trace = run(scene(law=VirtualWall(K=300.0), slave=None, environment=None, device_m=device)).trace
-        read = np.arange(len(trace["t"])) // 4 * 4 - 3
-        newest = np.where(read >= 0, trace["x_m"][np.maximum(read, 0)], 0.0)
-        assert trace["f_m"].tolist() == [300.0 * x if x > 0.0 else 0.0 for x in newest]
+    def test_that_is_late_or_slow_is_that_of_a_tick_before(self) -> None:
+        """Computed so many ticks after its reading; renewed every so many; of both kinds first late and then held."""
+        for delay, every in ((1, 1), (7, 1), (0, 2), (0, 5), (3, 4)):
+            device = Device(delay=delay, every=every)
+            trace = run(scene(law=VirtualWall(K=300.0), slave=None, environment=None, device_m=device)).trace
+            read = np.arange(len(trace["t"])) // every * every - delay
+            newest = np.where(read >= 0, trace["x_m"][np.maximum(read, 0)], 0.0)
+            assert trace["f_m"].tolist() == [300.0 * x if x > 0.0 else 0.0 for x in newest], (delay, every)
 
 
 class TestADevice:

@@ -28,7 +28,7 @@ def speed_after(v: float, f: float, M: float, b: float, dt: float) -> float:
 
 
 @given(M=masses, b=dampings, dt=ticks, f_h=st.floats(-50.0, 50.0), f_m=st.floats(-50.0, 50.0), v=st.floats(-2.0, 2.0))
-@settings(max_examples=200)
+@settings(max_examples=80)
 def test_a_constant_force_is_observed_exactly(
     M: float, b: float, dt: float, f_h: float, f_m: float, v: float
 ) -> None:

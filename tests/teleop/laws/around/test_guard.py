@@ -63,7 +63,7 @@ def test_an_end_pays_its_own_account_back_before_it_gives_the_other_end_any() ->
     assert law.master_stored(s) == pytest.approx(0.14)
 
 
-@pytest.mark.parametrize("scene", ["canonical", "soft_tissue"])
+@pytest.mark.parametrize("scene", ["canonical", pytest.param("soft_tissue", marks=pytest.mark.full)])
 def test_direct_reflection_over_50_ms_becomes_a_bounded_run_that_gives_out_no_more_than_its_seed(scene: str) -> None:
     alone = load_scene(scene, law="direct", delay=0.05, duration=4.0)
     guarded = run(replace(load_scene(scene, law="guard() | direct", delay=0.05, duration=4.0), energy=True))
@@ -89,8 +89,8 @@ def test_a_law_that_gives_out_nothing_is_the_law_to_the_bit() -> None:
     assert all(np.array_equal(alone[name], guarded[name], equal_nan=True) for name in alone)
 
 
-@pytest.mark.parametrize("law", [Direct(), PFRA(alpha=0.5), Wave(), around("deadband(0.2)", Direct())],
-                         ids=["direct", "pfra", "wave", "deadband | direct"])
+@pytest.mark.parametrize("law", [Direct(), *[pytest.param(law, marks=pytest.mark.full) for law in (
+    PFRA(alpha=0.5), Wave(), around("deadband(0.2)", Direct()))]], ids=["direct", "pfra", "wave", "deadband | direct"])
 def test_what_comes_out_claims_its_books_and_keeps_them(law: Any) -> None:
     guarded = around("guard", law)
     assert dict(guarded.claims) == {"E_law": "any link"}
@@ -100,6 +100,7 @@ def test_what_comes_out_claims_its_books_and_keeps_them(law: Any) -> None:
         assert unlike_python(end) is None
 
 
+@pytest.mark.full
 def test_a_deadband_around_a_guard_keeps_its_books() -> None:
     check_law(around("deadband(0.3, floor=0.01) | guard", Direct()), compiled=False)
 
@@ -114,7 +115,8 @@ MUTANTS = {  # a function of the guard, and what of its lines is wrong
 }
 
 
-@pytest.mark.parametrize("wrong", MUTANTS)
+@pytest.mark.parametrize("wrong", [
+    pytest.param(wrong, marks=[pytest.mark.full] * (n % 2)) for n, wrong in enumerate(MUTANTS)])
 def test_a_guard_that_is_wrong_is_caught_by_the_check_of_every_law(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
     name, old, new = MUTANTS[wrong]
     if name == "SLAVE":
