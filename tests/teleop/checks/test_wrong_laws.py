@@ -175,9 +175,7 @@ LAWS: dict[str, Wrong] = {
 NIGHTLY = {"wave_filter", "wave_matched", "wave_scaled", "wave_prediction", "pspm"}
 
 
-def wrong_law(
-    monkeypatch: pytest.MonkeyPatch, module: str, *changes: tuple[str, str], **knobs: float
-) -> Any:
+def wrong_law(monkeypatch: pytest.MonkeyPatch, module: str, *changes: tuple[str, str], **knobs: float) -> Any:
     """A law whose file has other lines in place of some of its own."""
     file = import_module(f"teleop.laws.{module}").__file__
     text = Path(str(file)).read_text(encoding="utf-8")

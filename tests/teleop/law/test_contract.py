@@ -232,8 +232,7 @@ def test_a_mistake_in_a_line_that_runs_later_is_told_when_it_runs(mistake: str, 
     ("returns a text", "scalar"), pytest.param("returns another message", "vector", marks=pytest.mark.full),
     pytest.param("raises an error of its own", "vector", marks=pytest.mark.full)])
 def test_compiled_rows_of_a_law_with_a_mistake_in_a_later_line_run_plain_and_say_so(
-    mistake: str, engine: str, file: Any
-) -> None:
+        mistake: str, engine: str, file: Any) -> None:
     method, said = LATER[mistake]
     place = file(method)
     table: Any = sweep("mine.py", {"duration": [0.3, 0.01]}, engine=engine, metrics=["f_m_max"])

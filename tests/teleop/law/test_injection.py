@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isnan, nan, sqrt
+from math import isnan, nan
 from typing import Any
 
 import numpy as np
@@ -121,8 +121,3 @@ class TestConditions:
             assert need is not None
             assert not isnan(B)
             assert 1.0011 * need >= B
-
-
-def test_the_weaker_condition_in_circulation_asks_for_less_by_the_root_of_two() -> None:
-    """4 B^2 >= K^2 (T1^2 + T2^2) at T1 = T2 = 50 ms, K = 400: B >= 14.14; two free 5 kg masses grow at 15."""
-    assert 400.0 * sqrt(2.0) * 0.05 / 2.0 == pytest.approx(least_damping(400.0, 0.0, 0.1, 0.0, 0.0, 0.0) / sqrt(2.0))

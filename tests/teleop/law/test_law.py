@@ -15,7 +15,6 @@ import pytest
 from teleop import Refused, load_scene, run
 from teleop.law import BUILT_IN, At, find_law, known_laws, law_name, messages, reads, start_at
 from teleop.laws import direct, pfra, wave
-from tests.fakes import law_of
 
 
 @pytest.mark.parametrize(("name", "kind"), [("wave", wave.Wave), ("pfra", pfra.PFRA), ("direct", direct.Direct)])
@@ -106,10 +105,25 @@ class Inherits(wave.Wave):
         return super().slave(s, at, rx)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Names(wave.Wave):
+    """A law that names the class of another."""
+
+    def slave(self, s: wave.WaveSlave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.WaveSlave]:
+        return Base.slave(self, s, at, rx)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keeps(wave.Wave):
+    """A law that keeps another."""
+
+    inner: wave.Wave = wave.Wave()
+
+    def slave(self, s: wave.WaveSlave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.WaveSlave]:
+        return self.inner.slave(s, at, rx)
+
+
 Base = wave.Wave
-Names = law_of(wave.Wave, slave=lambda self, s, at, rx: Base.slave(self, s, at, rx))  # noqa: PLW0108 - it names it
-Keeps = law_of(wave.Wave, knobs=[("inner", object, wave.Wave())],
-               slave=lambda self, s, at, rx: self.inner.slave(s, at, rx))
 
 
 @pytest.mark.parametrize(("law", "fields"), [

@@ -11,7 +11,22 @@ from typing import Any, NamedTuple
 import pytest
 
 from channel import Bernoulli, Delay, LeftOut
-from teleop import At, Energy, Fixed, Hold, Integral, MassDamper, Refused, Scaling, Scene, Wave, Zero, load_scene, run
+from teleop import (
+    At,
+    Energy,
+    Fixed,
+    Hold,
+    Integral,
+    MassDamper,
+    Refused,
+    Scaling,
+    Scene,
+    TwoLayer,
+    Wave,
+    Zero,
+    load_scene,
+    run,
+)
 from teleop.checks.trials import try_claims
 from teleop.knob import knobs_of_fields
 from teleop.law import find_law, known_laws

@@ -57,8 +57,7 @@ def growth(round_trip: int, *, dt: float, K: float, B: float, k_e: float) -> flo
     (0, 2, 1e-3, 2000.0, 8.0, 2000.0),  # and at 2, the least there is
 ])
 def test_it_is_stable_up_to_the_delay_that_theory_gives(
-    stable: int, unstable: int, dt: float, K: float, B: float, k_e: float
-) -> None:
+        stable: int, unstable: int, dt: float, K: float, B: float, k_e: float) -> None:
     """Known margins: |L| = 1 of the loop hand and master, delay, coupled slave in the wall, delay."""
     assert stable == 0 or growth(stable, dt=dt, K=K, B=B, k_e=k_e) < 0.0
     assert growth(unstable, dt=dt, K=K, B=B, k_e=k_e) > 0.0

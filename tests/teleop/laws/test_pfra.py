@@ -47,8 +47,7 @@ def size(f: Vector) -> float:
 @given(f_env=force, f_h_hat=force, kf=gain)
 @settings(max_examples=100)
 def test_in_one_axis_it_is_the_reflected_force_clipped_between_nothing_and_the_hands(
-    f_env: float, f_h_hat: float, kf: float
-) -> None:
+        f_env: float, f_h_hat: float, kf: float) -> None:
     if f_h_hat * f_h_hat < EPS:
         return
     clipped = min(max(kf * f_env, min(0.0, f_h_hat)), max(0.0, f_h_hat))
@@ -58,8 +57,7 @@ def test_in_one_axis_it_is_the_reflected_force_clipped_between_nothing_and_the_h
 @given(forces=vector, kf=gain)
 @settings(max_examples=100)
 def test_with_alpha_0_it_never_pushes_with_the_hand_nor_harder_than_the_hand(
-    forces: tuple[Vector, Vector], kf: float
-) -> None:
+        forces: tuple[Vector, Vector], kf: float) -> None:
     """<f_r, f_h_hat> >= 0 and |f_r| <= |f_h_hat|, the whole vectors'."""
     f_env, f_h_hat = forces
     f_r = reflected(PFRA(kf=kf), f_env, f_h_hat)
@@ -104,8 +102,7 @@ def test_alpha_1_is_direct_reflection_in_a_whole_run(axes: int, observer: float 
        observer=st.sampled_from([None, 50.0, 200.0]), axes=st.sampled_from([1, 3]), seed=st.integers(0, 99))
 @settings(max_examples=15)
 def test_a_master_at_rest_that_no_hand_has_held_is_never_moved(
-    kf: float, delay: float, push: float, observer: float | None, axes: int, seed: int
-) -> None:
+        kf: float, delay: float, push: float, observer: float | None, axes: int, seed: int) -> None:
     """The slave starts inside a wall that throws it out; alpha = 0, any gain, any delay, even a held message."""
     walls = (Wall(k=1e4, d=1.0), Tissue(k=2e3, d=0.0, at=0.02), None)[:axes]
     scene = Scene(
@@ -155,8 +152,7 @@ def let_go(L: float, f_env: float, f_h_hat: float, *, body: MassDamper, speed: f
        mass=st.floats(0.02, 2.0), damping=st.floats(0.0, 5.0), speed=st.floats(-1.0, 1.0))
 @settings(max_examples=8)
 def test_after_letting_go_the_impulse_is_at_most_what_the_observer_still_remembers(
-    L: float, f_env: float, f_h_hat: float, mass: float, damping: float, speed: float
-) -> None:
+        L: float, f_env: float, f_h_hat: float, mass: float, damping: float, speed: float) -> None:
     impulse, memory, _ = let_go(L, f_env, f_h_hat, body=MassDamper(mass=mass, damping=damping), speed=speed)
     assert impulse <= memory * (1.0 + 1e-12)
     assert memory == pytest.approx(f_h_hat * 1e-3 / (1.0 - exp(-L * 1e-3)), rel=1e-6)
@@ -180,8 +176,7 @@ weight = st.floats(0.0, 1.0)
 
 @given(forces=vectors, kf=st.floats(0.0, 1e3), alpha=weight)
 def test_the_defaults_are_the_law_that_had_no_other_weights_bit_for_bit(
-    forces: tuple[Vector, Vector, Vector], kf: float, alpha: float
-) -> None:
+        forces: tuple[Vector, Vector, Vector], kf: float, alpha: float) -> None:
     f_env, f_h, v = forces
     eh = reduce(add, [kf * e * h for e, h in zip(f_env, f_h, strict=True)])
     share = max(0.0, min(eh / max(reduce(add, [h * h for h in f_h]), EPS), 1.0))
@@ -191,8 +186,7 @@ def test_the_defaults_are_the_law_that_had_no_other_weights_bit_for_bit(
 
 @given(forces=vectors, push=weight, pull=weight, across=weight, alpha=weight)
 def test_each_part_beside_the_hands_has_its_own_weight(
-    forces: tuple[Vector, Vector, Vector], push: float, pull: float, across: float, alpha: float
-) -> None:
+        forces: tuple[Vector, Vector, Vector], push: float, pull: float, across: float, alpha: float) -> None:
     """Against the parts by numpy: along the hand what exceeds it or pulls it on, and what is across."""
     f_env, f_h = np.array(forces[0]), np.array(forces[1])
     if f_h @ f_h < 1e-6:
@@ -207,8 +201,7 @@ def test_each_part_beside_the_hands_has_its_own_weight(
 
 @given(forces=vectors, alpha=weight, across=weight, rest_gain=st.floats(0.0, 50.0))
 def test_the_rest_that_is_felt_is_at_most_rest_gain_times_the_speed_and_in_its_own_direction(
-    forces: tuple[Vector, Vector, Vector], alpha: float, across: float, rest_gain: float
-) -> None:
+        forces: tuple[Vector, Vector, Vector], alpha: float, across: float, rest_gain: float) -> None:
     f_env, f_h, v = forces
     without = PFRA(alpha=alpha, across=across)
     bare = np.array(reflected(without, f_env, f_h, v))
@@ -250,8 +243,7 @@ def speeds(law: PFRA, body: MassDamper, pushes: list[float], speed: float = 1.0)
 @given(pushes=st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=50), kf=st.floats(0.0, 1e3),
        mass=st.floats(0.02, 2.0), damping=st.floats(0.01, 5.0))
 def test_a_rest_gain_below_the_damping_makes_no_motion_grow_whatever_is_reflected(
-    pushes: list[float], kf: float, mass: float, damping: float
-) -> None:
+        pushes: list[float], kf: float, mass: float, damping: float) -> None:
     body = MassDamper(mass=mass, damping=damping)
     found = speeds(PFRA(kf=kf, rest_gain=0.99 * damping), body, pushes)
     assert all(after <= before * (1.0 + 1e-12) for before, after in pairwise(found))

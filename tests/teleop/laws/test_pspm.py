@@ -58,8 +58,7 @@ def test_a_set_point_goes_as_far_as_the_energy_does() -> None:
 
 @given(x=place, y=place, other=place, T=st.floats(-0.01, 0.1), came=st.floats(0.0, 0.1), w=st.floats(-1e-3, 1e-3))
 def test_the_energy_of_the_spring_is_never_more_than_the_end_keeps(
-    x: float, y: float, other: float, T: float, came: float, w: float
-) -> None:
+        x: float, y: float, other: float, T: float, came: float, w: float) -> None:
     law = PSPM()
     _, after = master(law, PSPMEnd(y, T, 0.0, 0.0), at(x, f_held=1.0, dx=w), Back(other, came))
     spring = 0.5 * law.K * (x - after.y) ** 2

@@ -64,8 +64,7 @@ gains = st.one_of(st.just(0.0), spread(1e-2, 1e9))
        u=motion, v=motion, x=st.floats(-0.01, 0.01))
 @settings(max_examples=100)
 def test_the_slaves_power_is_that_of_its_waves(
-    b: float, K: float, B: float, dt: float, u: float, v: float, x: float
-) -> None:
+        b: float, K: float, B: float, dt: float, u: float, v: float, x: float) -> None:
     """With the x_d that the tick ends with, at any stiffness: (u^2 - w^2)/2 = f_s v_d.
 
     The commanded point starts at 0, so that v_d = x_d/dt keeps all its digits. What it cannot keep below
@@ -80,8 +79,7 @@ def test_the_slaves_power_is_that_of_its_waves(
 
 @given(b=spread(0.1, 100.0), K=spread(1.0, 1e5), B=spread(0.1, 100.0), v=st.floats(-1.0, 1.0), gap=st.integers(1, 50))
 def test_a_steady_motion_goes_on_after_ticks_that_were_left_out_as_if_there_had_been_none(
-    b: float, K: float, B: float, v: float, gap: int
-) -> None:
+        b: float, K: float, B: float, v: float, gap: int) -> None:
     """Steady: v_d = v under u = sqrt(b/2) v + f_s/sqrt(2b), at any gap. It drifted by v dt for each tick left out."""
     law, dt, ahead = Wave(b=b, K=K, B=B), 1e-3, 0.01
     u = (b * v + K * ahead) / sqrt(2.0 * b)
@@ -100,8 +98,7 @@ def test_a_steady_motion_goes_on_after_ticks_that_were_left_out_as_if_there_had_
        u=motion, v=motion, x=motion, x_d=motion)
 @settings(max_examples=80)
 def test_velocity_and_force_of_the_slaves_port_solve_their_two_equations_together(
-    K: float, b: float, B: float, dt: float, u: float, v: float, x: float, x_d: float
-) -> None:
+        K: float, b: float, B: float, dt: float, u: float, v: float, x: float, x_d: float) -> None:
     """Against mpmath: f = sqrt(2b) u - b v_d and f = K (x_d + dt v_d - x) + B (v_d - v), solved at 50 digits."""
     with mpmath.workdps(50):
         mb, mK, mB, mdt, mu, mv, mx, mx_d = map(mpmath.mpf, (b, K, B, dt, u, v, x, x_d))

@@ -157,8 +157,7 @@ def reflected(law: WaveMatched, end: str, w: float, dt: float) -> complex:
 @given(b=st.floats(0.1, 100.0), K=st.floats(0.0, 1e4), x=st.floats(-0.01, 0.01), v=st.floats(-1.0, 1.0),
        wave=st.floats(-5.0, 5.0), gain=st.sampled_from([0.0, 0.3, 1.0]))
 def test_the_power_of_an_ends_waves_is_that_of_its_point_whatever_it_holds(
-    end: str, b: float, K: float, x: float, v: float, wave: float, gain: float
-) -> None:
+        end: str, b: float, K: float, x: float, v: float, wave: float, gain: float) -> None:
     """f of the channel and v_d: (u^2 - w^2)/2 = f v_d, f the device's g f and a damper's (1 - g) b v_d."""
     law = WaveMatched(b=b, K=K)
     rx = wave_matched.Back(wave) if end == "master" else wave_matched.Forth(wave)
@@ -262,8 +261,7 @@ def passive(law: WavePosition, T: float, b_m: float, b_s: float) -> bool:
 
 @pytest.mark.parametrize(("T", "b_m", "b_s"), [(0.05, 0.0, 0.0), (0.05, 0.5, 1.0), (0.02, 0.1, 2.0)])
 def test_with_the_damping_of_its_condition_the_two_port_is_passive_and_with_much_less_it_is_not(
-    T: float, b_m: float, b_s: float
-) -> None:
+        T: float, b_m: float, b_s: float) -> None:
     K_p, dt = 50.0, 1e-3
     reach = K_p * (2.0 * T + dt)
     B_p = (sqrt((b_m - b_s) ** 2 + reach * reach) - b_m - b_s + K_p * dt) / 2.0

@@ -65,8 +65,7 @@ ticks = st.lists(st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats
 
 @given(came=ticks, mass=st.floats(0.01, 10.0), damping=st.floats(0.0, 50.0), tau=st.floats(1e-3, 1.0))
 def test_no_more_is_played_than_came_whatever_the_model_says(
-    came: list[tuple[float, float, float, bool, int]], mass: float, damping: float, tau: float
-) -> None:
+        came: list[tuple[float, float, float, bool, int]], mass: float, damping: float, tau: float) -> None:
     """And the port has what the books say: f v = (u^2 - p^2)/2. Ticks left out are paid before anything more is."""
     law, dt = WavePrediction(mass=mass, damping=damping, tau=tau), 1e-3
     s, _ = law.master_start(at(0.0))

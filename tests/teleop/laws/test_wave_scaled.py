@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from math import sqrt
 
 import numpy as np
@@ -31,8 +30,7 @@ def triangle(t: np.ndarray, slope: float) -> np.ndarray:
 @pytest.mark.parametrize(("slope", "least", "end"), [
     (0.1, -0.009328, 0.003620), (0.25, -0.013166, 0.038207), (0.5, -0.094636, 0.003620)])
 def test_over_a_triangle_of_delays_waves_make_energy_and_scaled_ones_do_not(
-    slope: float, least: float, end: float
-) -> None:
+        slope: float, least: float, end: float) -> None:
     """The law book's figures, in continuous time: steps of 10 us, in the middle of each."""
     dt = 1e-5
     t = (np.arange(400_000) + 0.5) * dt
@@ -66,20 +64,6 @@ def test_so_it_is_packet_by_packet_with_the_newest_at_every_tick(slope: float, t
     assert link.min() >= 0.0
     kept = {0.1: 0.066631, 0.25: 0.188832, 0.5: 0.318196}[slope]  # in continuous time with min(1 - dT/dt, 1)
     assert link[-1] == pytest.approx(kept, rel=0.25)
-
-
-@given(st.lists(st.integers(1, 6), min_size=2, max_size=30))
-def test_the_share_of_a_tick_that_came_is_one_with_a_message_and_none_without(steps: list[int]) -> None:
-    """n = 1 - (A - A')/dt, at most 1: the book's rule from ages, of a random order of arrivals, is the null rule's."""
-    dt = 1e-3
-    newest, fresh = [0], [True]
-    for step in steps:
-        gap = step % 3
-        newest += [newest[-1]] * gap + [newest[-1] + step]
-        fresh += [False] * gap + [True]
-    ages = [(k + 60 - number) * dt for k, number in enumerate(newest)]
-    for (before, age), came in zip(pairwise(ages), fresh[1:], strict=True):
-        assert max(0.0, min(1.0 - (age - before) / dt, 1.0)) == pytest.approx(1.0 * came, abs=1e-9)
 
 
 waves = st.lists(st.tuples(st.floats(-5.0, 5.0), st.booleans(), st.integers(0, 3)), min_size=1, max_size=80)

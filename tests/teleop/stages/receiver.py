@@ -84,8 +84,7 @@ class Tick(NamedTuple):
 
 def over_a_link(
         sender: Alone, receiver: Alone, waves: Sequence[float], dice: Random, *, loss: float = 0.0, delay: int = 5,
-        jitter: int = 0, left_out: float = 0.0, every: tuple[int, int] = (1, 1), calm: int = 0,
-) -> Iterator[Tick]:
+        jitter: int = 0, left_out: float = 0.0, every: tuple[int, int] = (1, 1), calm: int = 0) -> Iterator[Tick]:
     """The receiver's ticks, for one wave each millisecond, as the sender's tick finds it. The newest message wins.
 
     `every`: milliseconds of the sender's tick and of the receiver's. In the last `calm` of them nothing is lost.

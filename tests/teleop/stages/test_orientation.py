@@ -117,8 +117,7 @@ def test_ends_that_turned_apart_by_more_than_half_a_turn_in_a_silence_do_not_spi
         turns: float, link: str) -> None:
     """Both reckon the same way back, so their torques are opposite and they come to rest."""
     drag = Grip(mass=5e-4, k=0.0, d=0.5, reference=Reach(to=(0.0, 0.0, 2.0 * np.pi * turns), start=0.3, duration=0.4))
-    trace = run(turning(0.0, law=PDamped(K=0.2, B=0.02), hand=drag, duration=5.0,
-                        link=parse_link(link))).trace
+    trace = run(turning(0.0, law=PDamped(K=0.2, B=0.02), hand=drag, duration=5.0, link=parse_link(link))).trace
     apart_by = trace["x_m"][700, 2] - trace["x_s"][700, 2]
     assert np.pi < apart_by < 4.0 * np.pi
     assert not np.any(trace["x_s"][700])

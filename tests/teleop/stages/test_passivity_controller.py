@@ -49,8 +49,7 @@ class TestAWallAFingerAnEncoder:
         ("K=400 every=5 cap=0.8", "33.90", "0.001", "-1.44"),
     ])
     def test_is_reproduced_from_the_command_line_with_the_labs_own_integrator(
-        self, knobs: str, peak: str, swing: str, energy: str, tmp_path: Path
-    ) -> None:
+            self, knobs: str, peak: str, swing: str, energy: str, tmp_path: Path) -> None:
         set_ = [word for knob in knobs.split() for word in ("--set", knob)]
         out = tmp_path / "out"
         assert main(["run", "encoder_wall", *set_, "--bodies", "semi-implicit:40", "--out", str(out)]) == 0

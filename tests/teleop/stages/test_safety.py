@@ -55,24 +55,6 @@ def test_the_force_ramps_to_zero_in_the_ramps_time_and_back_in_the_same(dt: floa
     assert got[patience + count] == 0.0
 
 
-@given(silences=st.lists(st.integers(0, 60), max_size=80), timeout=st.floats(1e-3, 0.05), ramp=st.floats(0.0, 0.1),
-       settle=st.floats(0.0, 0.05))
-def test_the_gain_stays_between_0_and_1_and_changes_by_a_step_at_most(
-    silences: list[int], timeout: float, ramp: float, settle: float
-) -> None:
-    dog = Watchdog(timeout=timeout, ramp=ramp, settle=settle)
-    step, before = dog.limits(1e-3).step, 1.0
-    for g in gains(dog, 1e-3, silences):
-        assert 0.0 <= g <= 1.0
-        assert abs(g - before) <= step * (1.0 + 1e-12)
-        before = g
-
-
-def test_a_ramp_of_nothing_is_a_switch() -> None:
-    dog = Watchdog(timeout=0.003, ramp=0.0, settle=0.0)
-    assert gains(dog, 1e-3, [1, 2, 3, 4, 5, 0, 1]) == [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]
-
-
 # Leaving the safe state
 
 
@@ -80,8 +62,7 @@ def test_a_ramp_of_nothing_is_a_switch() -> None:
        ramp=st.integers(0, 9))
 @settings(max_examples=100)
 def test_after_a_silence_the_gain_rises_when_packets_that_were_never_far_apart_span_the_time(
-    packets: set[int], patience: int, wait: int, ramp: int
-) -> None:
+        packets: set[int], patience: int, wait: int, ramp: int) -> None:
     dt, before = 1e-3, 1.0
     silences = silences_of(packets, 160)
     got = gains(Watchdog(timeout=patience * dt, ramp=ramp * dt, settle=wait * dt), dt, silences)
@@ -101,14 +82,6 @@ def test_a_single_late_packet_lifts_nothing_however_short_the_time_is(timeout: f
     assert not any(got[1300:])
 
 
-def test_packets_that_come_a_little_too_seldom_lift_nothing_and_just_often_enough_they_do() -> None:
-    dog = Watchdog(timeout=0.02, ramp=0.0, settle=0.1)
-    assert not any(gains(dog, 1e-3, silences_of(range(200, 2000, 22), 2000))[21:])  # 21 ticks without
-    got = gains(dog, 1e-3, silences_of(range(200, 2000, 20), 2000))
-    assert not any(got[21:300])
-    assert all(got[300:])
-
-
 @given(dt=st.sampled_from(DTS), wait=st.integers(1, 300))
 def test_a_time_of_n_ticks_is_n_ticks_from_the_first_packet_on(dt: float, wait: int) -> None:
     dog = Watchdog(timeout=2.0 * dt, ramp=0.0, settle=wait * dt)
@@ -116,23 +89,12 @@ def test_a_time_of_n_ticks_is_n_ticks_from_the_first_packet_on(dt: float, wait: 
     assert got == [1.0, 1.0, *[0.0] * (wait + 1), 1.0]
 
 
-def test_packets_that_come_back_within_the_ramp_do_not_stop_it_before_their_time() -> None:
-    dog = Watchdog(timeout=0.002, ramp=0.01, settle=0.005)
-    got = gains(dog, 1e-3, [1, 2, 3, 4, *[0] * 8])
-    assert got == pytest.approx([1.0, 1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.4, 0.5, 0.6])
-
-
-def test_a_run_that_was_never_silent_waits_for_nothing() -> None:
-    assert gains(Watchdog(timeout=0.01, settle=10.0), 1e-3, [0, 1] * 50) == [1.0] * 100
-
-
 numbers = st.floats(-1e6, 1e6)
 
 
 @given(f_max=st.floats(0.0, 1e3), slew=st.one_of(st.none(), st.floats(1e-3, 1e6)), asked=st.lists(numbers, max_size=50))
 def test_what_is_held_is_within_the_cap_and_one_slew_of_what_was_held(
-    f_max: float, slew: float | None, asked: list[float]
-) -> None:
+        f_max: float, slew: float | None, asked: list[float]) -> None:
     limits, held = Cap(f_max=f_max, slew=slew).limits(1e-3), 0.0
     for f in asked:
         now = cap(limits, f, held)
@@ -176,12 +138,6 @@ def test_in_a_run_the_forces_of_both_ends_keep_to_the_cap() -> None:
         assert np.abs(f).max() <= 1.5
         assert np.abs(np.diff(f, prepend=0.0)).max() <= 0.1 * (1.0 + 1e-9)
     assert np.abs(trace["f_s"]).max() == 1.5
-
-
-def test_a_cap_that_is_never_reached_changes_nothing() -> None:
-    scene = load_scene("canonical", duration=1.0)
-    free, capped = run(scene).trace, run(replace(scene, cap=Cap(f_max=1e6))).trace
-    assert all(np.array_equal(free[name], capped[name]) for name in free)
 
 
 @pytest.mark.parametrize("wait", [0, 40, 200])

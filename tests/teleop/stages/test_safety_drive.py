@@ -60,8 +60,7 @@ def test_what_drives_fades_linearly_up_to_the_cap_and_what_brakes_stays(f: float
        f_max=st.floats(0.1, 100.0), start=st.floats(-1.0, 1.0))
 @settings(max_examples=100)
 def test_a_body_is_never_driven_above_the_cap_but_for_what_a_tick_of_full_force_gives(
-    asked: list[float], v_max: float, mass: float, f_max: float, start: float
-) -> None:
+        asked: list[float], v_max: float, mass: float, f_max: float, start: float) -> None:
     limits, bound, v = speed_of(v_max, f_max), max(v_max, 0.9 * v_max + f_max * DT / mass), start * v_max
     for f in asked:
         v += cap(Cap(f_max=f_max).limits(DT), limit_speed(limits, f, v), 0.0) * DT / mass
@@ -74,16 +73,14 @@ def test_a_body_is_never_driven_above_the_cap_but_for_what_a_tick_of_full_force_
 @given(left=st.floats(-2.0, 1.0), f=forces, along=speeds)
 @settings(max_examples=150)
 def test_an_empty_budget_lets_through_what_brakes_and_one_that_owes_a_second_nothing(
-    left: float, f: float, along: float
-) -> None:
+        left: float, f: float, along: float) -> None:
     got = limit_power(budget_of(1.0), left, f, along)
     assert got == (f if left > 0.0 or (left > -1.0 and drives(f, -along)) else 0.0)
 
 
 @given(power=st.floats(1e-6, 1e3), left=st.floats(-1e3, 1e3), work=st.floats(-1e3, 1e3))
 def test_work_is_paid_for_and_what_is_taken_from_the_device_fills_nothing(
-    power: float, left: float, work: float
-) -> None:
+        power: float, left: float, work: float) -> None:
     assert spend(left, work) == (left - work if work > 0.0 else left)
     assert refill(budget_of(power), left) == min(left + power * DT, power)
 
@@ -110,8 +107,7 @@ steps = st.floats(-2e-3, 2e-3)
 @given(ticks=st.lists(st.tuples(forces, steps), max_size=80), power=st.floats(1e-3, 10.0))
 @settings(max_examples=100)
 def test_where_the_reading_tells_the_motion_no_window_has_more_than_a_seconds_energy_and_a_ticks(
-    ticks: list[tuple[float, float]], power: float
-) -> None:
+        ticks: list[tuple[float, float]], power: float) -> None:
     work = drawn([(f, dx / DT, dx) for f, dx in ticks], power)
     most = max((abs(f * dx) for f, dx in ticks), default=0.0)
     assert over(work, power) <= power + most + 1e-9
@@ -120,8 +116,7 @@ def test_where_the_reading_tells_the_motion_no_window_has_more_than_a_seconds_en
 @given(ticks=st.lists(st.tuples(forces, speeds, steps), max_size=80), power=st.floats(1e-3, 10.0))
 @settings(max_examples=100)
 def test_whatever_the_device_does_no_window_has_more_than_two(
-    ticks: list[tuple[float, float, float]], power: float
-) -> None:
+        ticks: list[tuple[float, float, float]], power: float) -> None:
     most = max((abs(f * dx) for f, _, dx in ticks), default=0.0)
     assert over(drawn(ticks, power), power) <= 2.0 * power + most + 1e-9
 
@@ -260,11 +255,10 @@ def test_extreme_limits_hold_and_leave_everything_finite(dt: float, v_max: float
 
 
 def test_limits_that_are_never_reached_change_nothing() -> None:
-    scene = replace(load_scene("canonical", duration=1.0), cap=Cap(f_max=1e6))
-    free, limited = (run(replace(scene, cap=one)).trace
-                     for one in (Cap(f_max=1e6), Cap(f_max=1e6, v_max=1e3, power=1e6)))
+    free, capped, limited = (run(replace(load_scene("canonical", duration=1.0), cap=one)).trace
+                             for one in (None, Cap(f_max=1e6), Cap(f_max=1e6, v_max=1e3, power=1e6)))
     assert set(limited) - set(free) == {"E_left_m", "E_left_s"}
-    assert all(np.array_equal(free[name], limited[name]) for name in free)
+    assert all(np.array_equal(free[name], capped[name]) and np.array_equal(free[name], limited[name]) for name in free)
 
 
 def overflowing(self: Any, s: Any, at: At, rx: Forth) -> Any:

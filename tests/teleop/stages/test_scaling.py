@@ -111,8 +111,7 @@ def test_each_axis_has_scales_of_its_own_and_is_the_scene_of_that_axis() -> None
         E_port = E_port + alone["E_port"]
     assert got.trace["E_port"] == pytest.approx(E_port, rel=1e-9, abs=1e-12)
     slave, master = got.trace["x_s"] / [0.2, 3.0, 1.0], got.trace["x_m"]
-    assert got.metrics["x_err_max"] == pytest.approx(
-        np.linalg.norm(slave[1:] - master[:-1], axis=1).max(), rel=1e-9)
+    assert got.metrics["x_err_max"] == pytest.approx(np.linalg.norm(slave[1:] - master[:-1], axis=1).max(), rel=1e-9)
     kernel = plain_kernel(of, exact_bodies(of), sorted(available(of)))
     water, ready = LinkSchedule.of(link_plans(of, 0)), prepare(of)
     row = RowInputs(tree_of(of, exact_bodies(of), compiled=False), None, of.ticks, water, ready.reference)

@@ -105,8 +105,7 @@ def test_a_run_plays_it_as_worked_out_by_other_means(playout: Any, expected: Tol
 @pytest.mark.parametrize(("slope", "unscaled", "end"), [
     (0.1, -0.009328, 0.129640), (0.25, -0.013166, 0.339460), (0.5, -0.094636, 0.632770)])
 def test_over_a_delay_that_varies_the_scaled_playout_is_passive_and_the_unscaled_is_not(
-    slope: float, unscaled: float, end: float
-) -> None:
+        slope: float, unscaled: float, end: float) -> None:
     """A triangle of delay, 50 to 90 ms and back; in steps of 10 us, since the numbers are those of continuous time."""
     dt = 1e-5
     t = dt * np.arange(400_000)
@@ -175,8 +174,7 @@ def above(module: Any, playout: Gaps) -> float:
 
 def out_of_the_cone(module: Any, playout: Gaps) -> float:
     """How far a steady wave leaves D^2 <= 2 S L."""
-    return max(own.D * own.D - 2.0 * own.S * own.L for _, own in over_gaps(module, playout)
-               if own.L >= 0.5 * DT)
+    return max(own.D * own.D - 2.0 * own.S * own.L for _, own in over_gaps(module, playout) if own.L >= 0.5 * DT)
 
 
 def misbooked(module: Any, playout: Gaps, *, left_out: float = 0.1, every: tuple[int, int] = (1, 1),
@@ -185,8 +183,7 @@ def misbooked(module: Any, playout: Gaps, *, left_out: float = 0.1, every: tuple
     worst = 0.0
     for seed in range(seeds):
         dice = Random(seed)
-        sender, receiver = [Alone(playout, module=module, leaves_out=True, dt=ms * DT)
-                            for ms in every]
+        sender, receiver = [Alone(playout, module=module, leaves_out=True, dt=ms * DT) for ms in every]
         for tick in over_a_link(sender, receiver, waves_with_rests(dice, 2000), dice, loss=0.2, jitter=15, calm=200,
                                 left_out=left_out, every=every):
             worst = max(worst, abs(tick.waves_played - (receiver.own.P - receiver.run.dt * tick.p)),
@@ -306,8 +303,7 @@ knobs = st.builds(
 @given(st.lists(st.tuples(messages, st.integers(1, 5)), max_size=12), knobs | st.just(Energy()))
 @asked(max_examples=150)
 def test_whatever_a_peer_sends_is_played_within_the_energy_that_it_sent(
-    heard: list[tuple[Integrals, int]], playout: Gaps
-) -> None:
+        heard: list[tuple[Integrals, int]], playout: Gaps) -> None:
     """Of each tick: its energy is at most S; a wave is at most 2 S/|D|; and all is finite."""
     receiver = Alone(playout)
     own = receiver.own

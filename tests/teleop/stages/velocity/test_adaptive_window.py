@@ -46,8 +46,7 @@ def by_trying(kind: type, readings: list[int], noise: Fraction, most: int) -> tu
 @given(readings=counts, noise=st.sampled_from([Fraction(1, 2), Fraction(1), Fraction(5, 2)]), most=st.integers(1, 20))
 @settings(max_examples=60)
 def test_it_is_the_longest_line_that_passes_by_every_reading(
-    kind: type, readings: list[int], noise: Fraction, most: int
-) -> None:
+        kind: type, readings: list[int], noise: Fraction, most: int) -> None:
     found = velocities(kind(noise=float(noise) * STEP, most=most), [STEP * y for y in readings])
     for k in range(1, len(readings)):
         _, slope = by_trying(kind, readings[: k + 1], noise, most)
@@ -68,8 +67,7 @@ def test_on_a_quantised_ramp_the_end_fit_keeps_its_longest_window(v: float, phas
        v=st.floats(-0.3, 0.3), phase=st.floats(0.0, 0.999))
 @settings(max_examples=30)
 def test_the_error_is_within_the_bound_of_the_window_that_was_chosen(
-    kind: type, pushes: list[tuple[float, int]], v: float, phase: float
-) -> None:
+        kind: type, pushes: list[tuple[float, int]], v: float, phase: float) -> None:
     """(w + miss)/(n T) + a n T/2, with n from the rule and a the largest acceleration within the window."""
     accelerations = [a for a, ticks in pushes for _ in range(ticks)]
     xs, vs = driven([*accelerations, 0.0], v)

@@ -89,8 +89,7 @@ def test_once_there_it_is_off_by_half_a_tick_of_acceleration_at_most(L: float, s
        share=st.floats(0.0, 0.024))
 @settings(max_examples=40)
 def test_a_noise_far_below_the_acceleration_of_a_tick_does_not_end_the_sliding(
-    L: float, steps: list[tuple[float, float]], share: float
-) -> None:
+        L: float, steps: list[tuple[float, float]], share: float) -> None:
     eps = share * L * T * T
     xs, vs = driven([a * L for a, _ in steps])
     readings = [x + eps * e for x, (_, e) in zip(xs, steps, strict=True)]
