@@ -21,7 +21,6 @@ from teleop import (
     Refused,
     Scaling,
     Scene,
-    TwoLayer,
     Wave,
     Zero,
     load_scene,

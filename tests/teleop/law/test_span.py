@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from teleop import At, Scene, Watchdog, WaveMatched, load_scene, run
+from teleop import At, Scene, Watchdog, load_scene, run
 from teleop.analysis.models.linear import linear_scene
 from teleop.simulation.source import rendered
 from tests.fakes import law_of
