@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import zlib
 from math import inf, nan
 from random import Random
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgpack
 import numpy as np
@@ -35,7 +34,7 @@ from teleop.protocol.packet import (
     unwrapped,
 )
 from tests.teleop.protocol.ends import packet_in
-from tests.teleop.protocol.vectors import FILE, packet_of, text
+from tests.teleop.protocol.vectors import packet_of, vectors
 
 WIDTH = 5
 HUGE = 1.7e308  # of which two have no finite sum
@@ -291,17 +290,17 @@ def test_a_laws_messages_are_all_there_and_a_total_of_coupled_axes_goes_once() -
 
 
 def test_the_vectors_are_what_is_sent_and_taken() -> None:
-    assert FILE.read_text(encoding="utf-8") == text(), "the file is what the helper writes"
-    vectors: dict[str, Any] = json.loads(text())
-    for one in vectors["accepted"]:
+    every = vectors()
+    assert every["wire_version"] == VERSION
+    for one in every["accepted"]:
         packet, data = packet_of(one["packet"]), bytes.fromhex(one["hex"])
         assert encode(packet, one["size"]) == data, one["name"]
         assert repr(decode(data, one["width"])) == repr(packet), one["name"]  # -0.0 is not 0.0
-    for one in vectors["accepted_in_other_forms"]:
+    for one in every["accepted_in_other_forms"]:
         packet, data = packet_of(one["packet"]), bytes.fromhex(one["hex"])
         assert decode(data, one["width"]) == packet, one["name"]
         assert encode(packet) != data, one["name"]
-    for one in vectors["rejected"]:
+    for one in every["rejected"]:
         assert decode(bytes.fromhex(one["hex"]), one["width"]) is Rejection(one["rejection"]), one["name"]
-    assert {one["packet"]["kind"] for one in vectors["accepted"]} == {one.name for one in Kind}
-    assert {one["rejection"] for one in vectors["rejected"]} == {why.value for why in Rejection}
+    assert {one["packet"]["kind"] for one in every["accepted"]} == {one.name for one in Kind}
+    assert {one["rejection"] for one in every["rejected"]} == {why.value for why in Rejection}

@@ -21,7 +21,7 @@ HOME, AWAY, SLAVE = AT, ("198.51.100.7", 5000), ("192.0.2.2", 9001)
 FORTH, BACK = ("203.0.113.5", 6001), ("203.0.113.5", 6002)  # where an observer's copies come from, at slave and master
 SECRET = bytes(range(32))
 LOSSY = "delay(0.02) | uniform(0.06) | bernoulli(0.3) | duplicate(0.2, after=0.02)"
-STEP = 2  # ms between two packets of an end
+STEP = 4  # ms between two packets of an end
 
 
 class Met(NamedTuple):

@@ -96,7 +96,7 @@ def test_challenges_are_few_and_none_without_another_address(world: Make) -> Non
     two = world()
     two.run(2000)
     assert set(two.to[1]) == {HOME}
-    assert two.to[1][HOME] < 1020
+    assert two.to[1][HOME] < 520
     two.copies = True
     two.run(5000)
     assert 5 < two.to[1][FORTH] < 100
