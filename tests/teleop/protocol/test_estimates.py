@@ -169,8 +169,7 @@ def test_minutes_of_hundreds_of_ppm_are_a_tick_or_two(
     ppm: dict[str, float], playout: Any, jitter: int, noise: int, minutes: int
 ) -> None:
     clocks = {e: Clock(10**12 * (e == "s"), ppm.get(e, 0.0)) for e in "ms"}
-    world = World(slow(playout=playout), clocks=clocks, still=True, jitter=jitter, noise=noise)
-    world.run(60.0 * minutes)
+    world = World(slow(playout=playout), clocks=clocks, still=True, jitter=jitter, noise=noise).run(60.0 * minutes)
     apart = clocks["s"].ppm - clocks["m"].ppm
     for e in "ms":
         end = world.end(e)
@@ -191,8 +190,7 @@ def test_minutes_of_hundreds_of_ppm_are_a_tick_or_two(
 
 @pytest.mark.parametrize("way", ["m", "s"])
 def test_a_way_of_40_ms_more_moves_no_grid(way: str) -> None:
-    world = World(slow(), still=True)
-    world.run(20.0)
+    world = World(slow(), still=True).run(20.0)
     before = world.end("s").session.start_ns or 0
     world.delay[way] += 40 * MS
     world.run(40.0)
@@ -226,8 +224,7 @@ def test_a_clock_that_is_set_makes_no_force_jump_and_they_go_on(step: float, who
 
 
 def test_the_noise_of_the_stamps_is_no_drift() -> None:
-    world = World(slow(), still=True, noise=2 * MS)
-    world.run(60.0)
+    world = World(slow(), still=True, noise=2 * MS).run(60.0)
     for e in "ms":
         assert world.end(e).link.clock.drift == pytest.approx(0.0, abs=20e-6)
         assert world.end(e).link.clock.shift_ns == 0

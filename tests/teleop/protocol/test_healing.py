@@ -135,8 +135,8 @@ steps = st.tuples(
 @settings(max_examples=25)
 @given(st.lists(steps, min_size=1, max_size=4), st.integers(0, 2**20), st.booleans())
 def test_whatever_happens_in_whatever_order_they_go_on(happens: list[Any], seed: int, rough: bool) -> None:
-    world = World(healing(dt=0.02), seed=seed, **({"jitter": 30 * MS, "loss": 0.1, "copies": 0.1} if rough else {}))
-    world.run(1.5)
+    link = {"jitter": 30 * MS, "loss": 0.1, "copies": 0.1} if rough else {}
+    world = World(healing(dt=0.02), seed=seed, **link).run(1.5)  # type: ignore[arg-type]
     for what, who, away, then in happens:
         {"restart": world.restart, "pause": world.stand_still, "cut": world.cut_off}[what](who, away)
         world.run(then)

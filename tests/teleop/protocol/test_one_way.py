@@ -66,8 +66,7 @@ def test_an_end_that_the_other_no_longer_hears_lets_go_within_the_timeout_and_a_
     playout: Any, delay: tuple[int, int], cut: str
 ) -> None:
     scene = replace(direct(), playout=playout)
-    world = World(scene, still=True, delay={"m": delay[0] * MS, "s": delay[1] * MS})
-    world.run(6.0)
+    world = World(scene, still=True, delay={"m": delay[0] * MS, "s": delay[1] * MS}).run(6.0)
     assert world.both_play()
     world.devices["m"].x = 0.02
     world.run(0.99)
@@ -87,8 +86,7 @@ def test_an_end_that_the_other_no_longer_hears_lets_go_within_the_timeout_and_a_
 
 @usually("every", [(1, 10), (10, 1), (10, 10), (3, 7)], (1, 10), (3, 7))
 def test_ends_of_other_rates_let_go_when_they_are_not_heard_and_not_before(every: tuple[int, int]) -> None:
-    world = running(direct(), every=dict(zip("ms", every, strict=True)), still=True)
-    world.run(3.0)
+    world = running(direct(), every=dict(zip("ms", every, strict=True)), still=True).run(3.0)
     assert [world.end(e).guard.events for e in "ms"] == [[], []]
     world.cut = {"s"}
     world.run(0.1 + 0.04 + 2 * 0.002 * sum(every))

@@ -64,7 +64,7 @@ class Talk:
         while self.now < until and None in (self.master.start_ns, self.slave.start_ns):
             self.run(self.now + 10 * MS)
 
-    def run(self, until: int) -> None:
+    def run(self, until: int) -> Talk:
         """Let time pass until then, 1 ms at a time."""
         while self.now < until:
             while self._under_way and self._under_way[0][0] <= self.now:
@@ -76,14 +76,14 @@ class Talk:
             for end in (self.master, self.slave):
                 self.send(end, end.due(self.clock(end)))
             self.now += MS
+        return self
 
     def kinds(self) -> list[str]:
         return [packet.kind.name for packet in self.sent]
 
 
 def test_the_ends_agree_on_the_time_of_tick_0_and_then_fall_silent() -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     assert talk.master.start_ns == talk.slave.start_ns is not None
     assert talk.master.start_ns > 5 * 50 * MS + LEAD_NS
     assert (talk.master.failure, talk.slave.failure) == (None, None)
@@ -117,16 +117,14 @@ def test_the_clock_offset_is_within_half_the_round_trip_however_the_delays_are_s
 
 
 def test_equal_delays_give_the_offset_itself() -> None:
-    talk = Talk(there=30 * MS, back=30 * MS, slave_ahead=123_456_789)
-    talk.run(2000 * MS)
+    talk = Talk(there=30 * MS, back=30 * MS, slave_ahead=123_456_789).run(2000 * MS)
     assert talk.master.offset_ns == 123_456_789
     assert talk.slave.start_ns == (talk.master.start_ns or 0) + 123_456_789
 
 
 def test_the_offset_is_taken_from_the_fastest_round_trip() -> None:
     """The first round trips have their way back slowed down, which misleads by half of what it adds."""
-    talk = Talk(there=10 * MS, back=90 * MS)
-    talk.run(150 * MS)
+    talk = Talk(there=10 * MS, back=90 * MS).run(150 * MS)
     talk.back = 10 * MS
     talk.run(2000 * MS)
     assert talk.master.rtt_ns == 20 * MS
@@ -141,8 +139,7 @@ def test_what_is_lost_is_said_again(kind: Kind, times: int) -> None:
         left[0] -= packet.kind is kind
         return packet.kind is kind and left[0] >= 0
 
-    talk = Talk(lost=lost)
-    talk.run(3000 * MS)
+    talk = Talk(lost=lost).run(3000 * MS)
     assert talk.master.start_ns == talk.slave.start_ns is not None
     assert left[0] < 0
     said = len(talk.sent)
@@ -161,8 +158,7 @@ def test_any_pattern_of_losses_delays_the_start_and_no_more(pattern: list[bool])
 
 
 def test_start_is_repeated_until_it_is_answered_or_messages_come() -> None:
-    talk = Talk(lost=lambda packet: packet.kind is Kind.START, messages=False)
-    talk.run(2000 * MS)
+    talk = Talk(lost=lambda packet: packet.kind is Kind.START, messages=False).run(2000 * MS)
     starts = [packet.sent_ns for packet in talk.sent if packet.kind is Kind.START]
     assert len(starts) > 10
     assert {b - a for a, b in pairwise(starts)} == {AGAIN_NS}
@@ -225,8 +221,7 @@ def started(slave: Session, session: int, now: int, **told: str) -> Session:
 
 
 def test_a_running_session_is_not_taken_over_while_it_is_heard_nor_moved_by_a_second_start_or_a_refusal() -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     slave, start = talk.slave, talk.slave.start_ns
     again = Packet(Kind.START, 7, 0, 0, None, 999)
     assert [packet_in(data).payload for data in slave.receive(again, talk.now)] == [999]
@@ -317,8 +312,7 @@ def test_a_welcome_that_answers_no_hello_is_no_measurement() -> None:
 
 
 def test_a_farewell_reaches_the_other_end_with_its_reason() -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     talk.send(talk.slave, talk.slave.bye("it was asked to stop (SIGINT)", talk.now))
     talk.send(talk.master, talk.master.bye("finished", talk.now))
     talk.run(2100 * MS)
@@ -328,8 +322,7 @@ def test_a_farewell_reaches_the_other_end_with_its_reason() -> None:
 
 def test_a_tick_0_that_is_further_ahead_than_any_master_sets_it_is_not_taken() -> None:
     """An end that believed it would hold still until then, for years if it was told so."""
-    talk = Talk()
-    talk.run(400 * MS)
+    talk = Talk().run(400 * MS)
     assert talk.slave.met == talk.master.met == 1
     slave = Session(master=False, manifest=MANIFEST)
     [welcome] = slave.receive(Packet(Kind.HELLO, 9, 0, 5, None, MANIFEST), 1000)

@@ -35,8 +35,7 @@ def asked(data: list[bytes]) -> Packet:
 
 
 def test_a_master_that_hears_nothing_asks_anew_under_the_next_number_and_both_keep_their_grid() -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     before = talk.master.start_ns
     talk.lost = lambda _packet: True
     talk.run(2000 * MS + RENEW_NS // 2)
@@ -57,8 +56,7 @@ def test_a_master_that_hears_nothing_asks_anew_under_the_next_number_and_both_ke
 @pytest.mark.parametrize("leaves", ["master", "slave"])
 def test_who_leaves_while_the_master_asks_anew_is_heard(leaves: str) -> None:
     """The master is under the next number already, the slave still under the one before."""
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     talk.lost = lambda _packet: True
     talk.run(2000 * MS + RENEW_NS + 60 * MS)
     assert (talk.master.meeting, talk.master.number, talk.slave.number) == (True, 8, 7)
@@ -70,8 +68,7 @@ def test_who_leaves_while_the_master_asks_anew_is_heard(leaves: str) -> None:
 
 
 def test_the_number_after_the_last_is_zero_and_a_farewell_of_a_session_long_gone_is_not_heard() -> None:
-    talk = Talk(Session(master=True, manifest=MANIFEST, number=2**64 - 1))
-    talk.run(1000 * MS)
+    talk = Talk(Session(master=True, manifest=MANIFEST, number=2**64 - 1)).run(1000 * MS)
     assert talk.slave.number == 2**64 - 1
     talk.messages = False
     talk.run(3000 * MS)
@@ -111,8 +108,7 @@ def test_a_session_without_any_message_has_twice_the_time_of_the_one_before_for_
 
 
 def test_a_master_that_comes_to_a_running_slave_takes_its_grid() -> None:
-    talk = Talk(slave_ahead=-123_456_789)
-    talk.run(2000 * MS)
+    talk = Talk(slave_ahead=-123_456_789).run(2000 * MS)
     grid = talk.slave.start_ns
     talk.master = Session(master=True, manifest=MANIFEST, number=1000)
     talk.run(4000 * MS)
@@ -122,8 +118,7 @@ def test_a_master_that_comes_to_a_running_slave_takes_its_grid() -> None:
 
 
 def test_a_slave_that_comes_to_a_running_master_is_told_a_tick_0_that_has_passed() -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     grid = talk.master.start_ns
     talk.slave, talk.slave_ahead = Session(master=False, manifest=MANIFEST), 5 * 10**12  # on another machine
     talk.run(4000 * MS)
@@ -138,8 +133,7 @@ def test_of_two_grids_that_came_apart_the_one_that_is_further_on_counts_for_no_t
     step: int, there: int, back: int
 ) -> None:
     """A force would be held, and nothing computed, for as long as an end waited for its own ticks to come again."""
-    talk = Talk(there=20 * MS, back=20 * MS)
-    talk.run(1000 * MS)
+    talk = Talk(there=20 * MS, back=20 * MS).run(1000 * MS)
     before = talk.master.start_ns, talk.slave.start_ns
     talk.there, talk.back, talk.slave_ahead, talk.messages = there * MS, back * MS, step, False
     talk.run(3500 * MS - min(0, step))  # a clock that was set back is silent for longer
@@ -254,8 +248,7 @@ def test_a_hello_as_short_as_it_can_be_is_answered_with_nothing_longer() -> None
 
 @pytest.mark.parametrize("master", [True, False])
 def test_an_end_that_the_other_has_not_heard_for_as_long_as_a_session_lives_is_in_none(master: bool) -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     end = talk.master if master else talk.slave
     end.take_data(talk.now)
     end.take_echo(Echo(end.liveness.begun_ns, 0))
@@ -284,8 +277,7 @@ def test_a_session_whose_first_second_was_lost_either_way_is_over_when_something
 
 
 def test_a_slave_that_asks_for_another_session_has_it_and_its_asking_for_the_one_before_changes_nothing() -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     talk.slave.end("the session is over: its end stood still")
     (asks,) = talk.slave.due(talk.now)
     packet = packet_in(asks)
@@ -302,8 +294,7 @@ def test_a_slave_that_asks_for_another_session_has_it_and_its_asking_for_the_one
 
 
 def test_neither_end_takes_another_session_before_it_has_let_go() -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     talk.master.zero_force = talk.slave.zero_force = False
     talk.master.end("the session is over: as a test has it")
     talk.run(talk.now + 500 * MS)
@@ -320,8 +311,7 @@ def test_neither_end_takes_another_session_before_it_has_let_go() -> None:
 
 
 def test_a_master_that_hears_and_is_never_heard_asks_for_another_session_after_twice_the_time_of_one_way() -> None:
-    talk = Talk(messages=False)
-    talk.run(1000 * MS)
+    talk = Talk(messages=False).run(1000 * MS)
     master = talk.master
     for now in range(master.liveness.begun_ns, master.liveness.begun_ns + 2 * FIRST_NS + 1, RENEW_NS // 4):
         master.take_data(now, now)
@@ -337,8 +327,7 @@ def test_a_master_that_hears_and_is_never_heard_asks_for_another_session_after_t
 @pytest.mark.parametrize("first", ["master", "slave"])
 def test_ends_that_are_turned_one_after_the_other_meet_again_when_both_are(first: str) -> None:
     """Nothing stops, however long the other takes: a manifest that differs is no reason to leave a run."""
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     other = "slave" if first == "master" else "master"
     for end, until in ((first, 5000), (other, 8000)):
         session = getattr(talk, end)
@@ -353,8 +342,7 @@ def test_ends_that_are_turned_one_after_the_other_meet_again_when_both_are(first
 
 @pytest.mark.parametrize("why", [TURN, CLUTCH])
 def test_an_order_to_the_slave_was_told_to_the_master_in_words_alone(why: str) -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     talk.slave.end(why, Cause.ORDERED)
     while talk.master.ended is None:
         talk.run(talk.now + 10 * MS)
@@ -363,8 +351,7 @@ def test_an_order_to_the_slave_was_told_to_the_master_in_words_alone(why: str) -
 
 @pytest.mark.parametrize("holds", ["master", "slave"])
 def test_no_session_follows_while_either_end_may_not_renew_it(holds: str) -> None:
-    talk = Talk()
-    talk.run(2000 * MS)
+    talk = Talk().run(2000 * MS)
     getattr(talk, holds).renews = False
     for end in (talk.master, talk.slave):
         end.end(CLUTCH, Cause.ORDERED)

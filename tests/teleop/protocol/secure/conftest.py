@@ -125,7 +125,7 @@ class World:
         self.start_master() if name == "master" else self.start_slave()
         return self.now // MS
 
-    def run(self, ms: int, *, dead: str = "") -> None:
+    def run(self, ms: int, *, dead: str = "") -> World:
         """Go on for a time; the end that is `dead` neither sends nor hears."""
         for _ in range(ms // STEP):
             for way, link, name in ((0, self.master, "master"), (1, self.slave, "slave")):
@@ -140,6 +140,7 @@ class World:
                 for data in passed if name != dead else []:
                     self._take(way, link, data, copied)
             self.now += STEP * MS
+        return self
 
     def _packet(self, way: int, link: SecureLink) -> list[Any]:
         number = self.now // MS

@@ -23,12 +23,10 @@ def test_an_observer_whose_copies_come_first_draws_nothing_to_itself_before_the_
     world: Make, seed: int
 ) -> None:
     """There was no session for as long as it copied."""
-    two = world(seed=seed, copies=True)
-    two.run(3000)
+    two = world(seed=seed, copies=True).run(3000)
     assert two.master.associations == two.slave.associations == 1
     assert_at_home(two, 500, 2900)
-    two = world("delay(0.02) | uniform(0.02) | bernoulli(0.1)", seed)
-    two.run(1000)
+    two = world("delay(0.02) | uniform(0.02) | bernoulli(0.1)", seed).run(1000)
     two.copies = True
     two.run(3000)
     assert two.master.associations == two.slave.associations == 1
@@ -38,15 +36,13 @@ def test_an_observer_whose_copies_come_first_draws_nothing_to_itself_before_the_
 @usually("seed", range(5), 0)
 def test_nor_after_an_outage_of_1_4_s(world: Make, seed: int) -> None:
     """It never healed."""
-    two = world("delay(0.02) | uniform(0.02) | blackout(2.0, 1.4)", seed, copies=True)
-    two.run(6000)
+    two = world("delay(0.02) | uniform(0.02) | blackout(2.0, 1.4)", seed, copies=True).run(6000)
     assert_at_home(two, 3500, 5900, 0.99)
 
 
 @usually("who, seed", [(who, seed) for who in ("master", "slave") for seed in range(3)], ("master", 0), ("slave", 1))
 def test_nor_after_an_end_was_killed_and_started_again(world: Make, who: str, seed: int) -> None:
-    two = world(seed=seed, copies=True)
-    two.run(1000)
+    two = world(seed=seed, copies=True).run(1000)
     back = two.restart(who, 1500)
     two.run(6000)
     assert_at_home(two, back + 3500, back + 5900)
@@ -57,8 +53,7 @@ def test_nor_after_an_end_was_killed_and_started_again(world: Make, who: str, se
          (0.02, 0, True), (0.02, 1, False), (0.3, 2, True))
 def test_a_peer_that_moves_to_another_network_is_followed(world: Make, delay: float, seed: int, copies: bool) -> None:
     """Within half a second and three round trips, be there an observer or not."""
-    two = world(f"delay({delay}) | uniform(0.02) | bernoulli(0.1)", seed, copies=copies)
-    two.run(4000)
+    two = world(f"delay({delay}) | uniform(0.02) | bernoulli(0.1)", seed, copies=copies).run(4000)
     assert two.slave.associations >= 1
     two.from_ = AWAY
     moved = two.now // MS
@@ -70,8 +65,7 @@ def test_a_peer_that_moves_to_another_network_is_followed(world: Make, delay: fl
 
 @usually("seed", range(3), 0)
 def test_an_observer_that_relays_changes_no_address_as_long_as_the_old_one_answers(world: Make, seed: int) -> None:
-    two = world(seed=seed)
-    two.run(1000)
+    two = world(seed=seed).run(1000)
     two.copies = two.relays = True
     two.run(3000)
     assert_at_home(two, 500, 3900)
@@ -93,8 +87,7 @@ def test_what_is_drawn_by_one_that_relayed_the_meeting_comes_back_when_it_relays
 
 
 def test_challenges_are_few_and_none_without_another_address(world: Make) -> None:
-    two = world()
-    two.run(2000)
+    two = world().run(2000)
     assert set(two.to[1]) == {HOME}
     assert two.to[1][HOME] < 520
     two.copies = True

@@ -18,8 +18,7 @@ OTHER_SLAVE, ANY, LOOPBACK = ("192.0.2.3", 9001), ("0.0.0.0", 9001), ("127.0.0.1
 
 @pytest.mark.parametrize("seed", range(2))
 def test_two_ends_meet_and_talk_and_new_keys_cost_not_a_packet(world: Callable[..., World], seed: int) -> None:
-    two = world(seed=seed)
-    two.run(600)
+    two = world(seed=seed).run(600)
     assert two.slave.address == HOME
     assert two.master.associations == two.slave.associations == 1
     assert two.master.trouble is two.slave.trouble is None
@@ -38,8 +37,7 @@ def test_two_ends_meet_and_talk_and_new_keys_cost_not_a_packet(world: Callable[.
 
 @pytest.mark.parametrize(("who", "seed"), [("master", 0), ("slave", 1)])
 def test_an_end_that_was_killed_is_met_again_by_itself(world: Callable[..., World], who: str, seed: int) -> None:
-    two = world("delay(0.02) | uniform(0.04) | bernoulli(0.3) | duplicate(0.1, after=0.01)", seed)
-    two.run(3000)
+    two = world("delay(0.02) | uniform(0.04) | bernoulli(0.3) | duplicate(0.1, after=0.01)", seed).run(3000)
     back = two.restart(who, 1500)
     two.run(6000)
     for end in (0, 1):
@@ -197,16 +195,14 @@ def test_a_request_of_an_earlier_handshake_comes_into_no_later_one(world: Callab
 
 
 def test_a_long_silence_is_no_end(world: Callable[..., World]) -> None:
-    two = world("delay(0.02) | blackout(2.0, 3.0)")
-    two.run(7000)
+    two = world("delay(0.02) | blackout(2.0, 3.0)").run(7000)
     for end in (0, 1):
         assert two.next_at(end, 5000) < 5200
     assert SILENT_NS < 3_000 * MS
 
 
 def test_an_address_that_changes_is_followed_when_authenticated(world: Callable[..., World]) -> None:
-    two = world()
-    two.run(1000)
+    two = world().run(1000)
     stray = two.master.send(b"x" * 100) or b""
     assert two.slave.receive(stray[:-1] + bytes((stray[-1] ^ 1,)), AWAY, two.now) == ([], [])
     assert two.slave.address == HOME
@@ -218,8 +214,7 @@ def test_an_address_that_changes_is_followed_when_authenticated(world: Callable[
 
 
 def test_a_copy_from_elsewhere_draws_nothing_to_itself(world: Callable[..., World]) -> None:
-    two = world()
-    two.run(1000)
+    two = world().run(1000)
     kept = [two.master.send(bytes((i,)) * 100) or b"" for i in range(3)]
     for data in (kept[1], kept[2]):
         two.slave.receive(data, HOME, two.now)
@@ -237,8 +232,7 @@ def test_a_copy_from_elsewhere_draws_nothing_to_itself(world: Callable[..., Worl
 def test_what_is_no_record_of_the_peers_raises_no_question_wherever_it_comes_from(
     world: Callable[..., World]
 ) -> None:
-    two = world()
-    two.run(1000)
+    two = world().run(1000)
     data = two.master.send(b"x" * 100) or b""
     two.slave.receive(data, HOME, two.now)
     changed = data[:-1] + bytes((data[-1] ^ 1,)), data[:10] + b"\xff" + data[11:]
@@ -248,8 +242,7 @@ def test_what_is_no_record_of_the_peers_raises_no_question_wherever_it_comes_fro
 
 
 def test_a_stranger_at_the_gate_changes_nothing(world: Callable[..., World], keys: list[Key]) -> None:
-    two = world()
-    two.run(1000)
+    two = world().run(1000)
     stranger = SecureLink.calling(keys[2], keys[1].fingerprint, SLAVE)
     now = two.now
     for i in range(600):
@@ -268,8 +261,7 @@ def test_a_stranger_at_the_gate_changes_nothing(world: Callable[..., World], key
 
 
 def test_each_datagram_that_is_not_taken_counts_once(world: Callable[..., World]) -> None:
-    two = world()
-    two.run(600)
+    two = world().run(600)
     two.go(0, two.master.renew(two.now))
     two.run(400)
     before = two.slave.dropped.total()
@@ -282,8 +274,7 @@ def test_each_datagram_that_is_not_taken_counts_once(world: Callable[..., World]
 
 
 def test_a_farewell_ends_it_and_the_caller_begins_anew(world: Callable[..., World]) -> None:
-    two = world()
-    two.run(600)
+    two = world().run(600)
     two.go(1, two.slave.close())
     two.start_slave()
     two.run(3000)

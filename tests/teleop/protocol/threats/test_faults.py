@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from math import isfinite
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -26,11 +27,9 @@ from tests.teleop.protocol.threats.hands import (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fault:
+class Fault(NamedTuple):
     """What happens to packets 150 to 249 of either way, and what the end that gets them makes of it."""
 
-    measure: str
     change: Change
     count: Callable[[Endpoint], int]
     counted: int
@@ -51,41 +50,24 @@ def beside(datagram: Callable[[int, str], bytes]) -> Change:
     return lambda e, k, good: [(10, datagram(k, e)), (10, good)]
 
 
-FAULTS = {
-    "corruption": Fault(
-        measure="CRC-32 over all of the packet; with keys the seal", counted=100, falls=True, changes=True,
-        change=lambda _e, k, good: [(10, good[: k % 60] + bytes([good[k % 60] ^ 1]) + good[k % 60 + 1 :])],
-        count=lambda end: sum(end.rejected.values()),
-    ),
-    "repetition": Fault(
-        measure="a window of the numbers that came", counted=200, count=of_inbox("duplicates"),
-        change=lambda _e, _k, good: [(10, good), (10, good), (40, good)],
-    ),
-    "wrong sequence": Fault(
-        measure="sequence numbers; the numbers played only grow", counted=50, count=of_inbox("overtaken"), changes=True,
-        change=lambda _e, k, good: [(10 if k % 2 else 13, good)],
-    ),
-    "loss": Fault(
-        measure="watchdog", counted=WATCHED.ticks - 10 - 100, count=of_inbox("received"), falls=True, changes=True,
-        change=lambda _e, _k, _good: [],
-    ),
-    "delay": Fault(
-        measure="fixed playout, and the watchdog", counted=100, count=of_inbox("late"), falls=True, changes=True,
-        change=lambda _e, _k, good: [(110, good)], playout=Fixed(0.015),
-    ),
-    "insertion": Fault(
-        measure="the session number; with keys the seal", counted=100, count=rejected("session"),
-        change=beside(lambda k, e: data(k, 50.0, to=e, session=OTHER)),
-    ),
-    "masquerade": Fault(
-        measure="the session number; with keys the pinned certificate", counted=100, count=rejected("session"),
-        change=beside(lambda k, _e: control(*TAKEOVER[k % len(TAKEOVER)], session=OTHER)),
-    ),
-    "wrong address": Fault(
-        measure="the socket keeps to its peer; the length of the law's message, the session number",
-        counted=100, count=rejected("malformed"),
-        change=beside(lambda k, e: data(k, payload=(1.0, 2.0), to=e, session=OTHER)),
-    ),
+FAULTS = {  # by name; behind each its measure
+    "corruption": Fault(  # CRC-32 over all of the packet; with keys the seal
+        lambda _e, k, good: [(10, good[: k % 60] + bytes([good[k % 60] ^ 1]) + good[k % 60 + 1 :])],
+        lambda end: sum(end.rejected.values()), 100, falls=True, changes=True),
+    "repetition": Fault(  # a window of the numbers that came
+        lambda _e, _k, good: [(10, good), (10, good), (40, good)], of_inbox("duplicates"), 200),
+    "wrong sequence": Fault(  # sequence numbers; the numbers played only grow
+        lambda _e, k, good: [(10 if k % 2 else 13, good)], of_inbox("overtaken"), 50, changes=True),
+    "loss": Fault(  # the watchdog
+        lambda _e, _k, _good: [], of_inbox("received"), WATCHED.ticks - 10 - 100, falls=True, changes=True),
+    "delay": Fault(  # a fixed playout, and the watchdog
+        lambda _e, _k, good: [(110, good)], of_inbox("late"), 100, falls=True, changes=True, playout=Fixed(0.015)),
+    "insertion": Fault(  # the session number; with keys the seal
+        beside(lambda k, e: data(k, 50.0, to=e, session=OTHER)), rejected("session"), 100),
+    "masquerade": Fault(  # the session number; with keys the pinned certificate
+        beside(lambda k, _e: control(*TAKEOVER[k % len(TAKEOVER)], session=OTHER)), rejected("session"), 100),
+    "wrong address": Fault(  # the socket keeps to its peer; the length of the law's message, the session number
+        beside(lambda k, e: data(k, payload=(1.0, 2.0), to=e, session=OTHER)), rejected("malformed"), 100),
 }
 
 
