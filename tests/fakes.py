@@ -1,4 +1,4 @@
-"""One stand-in of each kind, with knobs: a law, a device, an effect of a link, a clock, a socket, a terminal.
+"""One stand-in of each kind, with knobs: a law, a device, a wire, a clock, a terminal.
 
 A knob is a keyword of the constructor or, in a subclass, an attribute of the class. A callable knob says what happens:
 `raising(error, after)` is one that fits everywhere.
@@ -9,20 +9,16 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, make_dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-import numpy as np
 import pytest
 
-from channel.effect import Effect
-from channel.rng import Ints, Rng
-from channel.schedule import by_time
 from teleop.law import At
 from teleop.protocol.endpoint import Reading
 
 if TYPE_CHECKING:
     from teleop.live.net.wire import Wire
+
 
 def usually(names: str, cases: Iterable[Any], *usual: Any) -> pytest.MarkDecorator:
     """Parametrize `names` by the cases: those among `usual` run in every suite, the others with `-m full` alone."""
@@ -193,63 +189,7 @@ def at_tick(k: int, act: Callable[[], object]) -> Callable[[int, Reading], Readi
     return reads
 
 
-# The way between
-
-
-@dataclass(frozen=True)
-class ByNumber(Effect):
-    """An effect by the packet's number alone: `late(k)` in ns; None: it is lost. `entered` keeps when each came in."""
-
-    late: Callable[[int], int | None] = lambda _k: 0
-
-    @cached_property
-    def entered(self) -> list[int]:
-        return []
-
-    def begin(self, rng: Rng) -> None:
-        """No state."""
-
-    def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
-        self.entered.extend(time_ns.tolist())
-        late = {k: self.late(k) for k in packet.tolist()}
-        kept = np.array([late[k] is not None for k in packet.tolist()], bool)
-        delay = np.array([late[k] for k in packet[kept].tolist()], np.int64)
-        return *by_time(packet[kept], time_ns[kept] + delay), None
-
-
-class Socket:
-    """A socket or wire without a network: keeps what is `sent`, gives what `put` put in, loses what `drops` is true of.
-    """
-
-    def __init__(self, peer: Any = None, *, drops: Callable[[bytes], bool] = lambda _data: False) -> None:
-        self.peer, self.drops, self.sock = peer, drops, self
-        self.sent: list[tuple[bytes, Any]] = []
-        self.comes: list[tuple[bytes, Any]] = []
-        self.closed = False
-
-    def put(self, data: bytes, address: Any = None) -> None:
-        self.comes.append((data, address or self.peer))
-
-    def sendto(self, data: bytes, address: Any) -> int:
-        if not self.drops(data):
-            self.sent.append((data, address))
-        return len(data)
-
-    answer = sendto
-
-    def send(self, data: bytes) -> int:
-        return self.sendto(data, self.peer)
-
-    def recvfrom(self, _most: int = 65536) -> tuple[bytes, Any]:
-        if not self.comes:
-            raise BlockingIOError
-        return self.comes.pop(0)
-
-    def fileno(self) -> int:
-        return -1
-
-    def close(self) -> None:
-        self.closed = True
+# Wires
 
 
 def wire_of(drops: Callable[[bytes], bool] = lambda _data: False) -> type[Wire]:

@@ -66,8 +66,7 @@ def test_an_end_that_the_other_no_longer_hears_lets_go_within_the_timeout_and_a_
     playout: Any, delay: tuple[int, int], cut: str
 ) -> None:
     scene = replace(direct(), playout=playout)
-    world = World(scene, still=True, delay={"m": delay[0] * MS, "s": delay[1] * MS}).run(6.0)
-    assert world.both_play()
+    world = World(scene, still=True, delay={"m": delay[0] * MS, "s": delay[1] * MS}).assert_both_play(after=1.0)
     world.devices["m"].x = 0.02
     world.run(0.99)
     assert abs(world.done["s"][-1].force) > 1.0
