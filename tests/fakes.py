@@ -1,4 +1,4 @@
-"""One stand-in of each kind, with knobs: a law, a device, a wire, a clock, a terminal.
+"""One stand-in of each kind, with knobs: a law, a device, an effect of a link, a wire, a clock, a terminal.
 
 A knob is a keyword of the constructor or, in a subclass, an attribute of the class. A callable knob says what happens:
 `raising(error, after)` is one that fits everywhere.
@@ -9,10 +9,15 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, make_dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+import numpy as np
 import pytest
 
+from channel.effect import Effect
+from channel.rng import Ints, Rng
+from channel.schedule import by_time
 from teleop.law import At
 from teleop.protocol.endpoint import Reading
 
@@ -189,7 +194,28 @@ def at_tick(k: int, act: Callable[[], object]) -> Callable[[int, Reading], Readi
     return reads
 
 
-# Wires
+# The way between
+
+
+@dataclass(frozen=True)
+class ByNumber(Effect):
+    """An effect by the packet's number alone: `late(k)` in ns; None: it is lost. `entered` keeps when each came in."""
+
+    late: Callable[[int], int | None] = lambda _k: 0
+
+    @cached_property
+    def entered(self) -> list[int]:
+        return []
+
+    def begin(self, rng: Rng) -> None:
+        """No state."""
+
+    def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
+        self.entered.extend(time_ns.tolist())
+        late = {k: self.late(k) for k in packet.tolist()}
+        kept = np.array([late[k] is not None for k in packet.tolist()], bool)
+        delay = np.array([late[k] for k in packet[kept].tolist()], np.int64)
+        return *by_time(packet[kept], time_ns[kept] + delay), None
 
 
 def wire_of(drops: Callable[[bytes], bool] = lambda _data: False) -> type[Wire]:
