@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +23,6 @@ from teleop.analysis.zwidth.plane import (
     published_rule,
     rows,
 )
-from teleop.law import At
 from teleop.laws.virtual_wall import VirtualWall
 from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping
@@ -31,44 +30,16 @@ from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 from teleop.stages.device import Device
 from teleop.stages.velocity.backward_difference import BackwardDifference
+from tests.fakes import OneSpring, law_of
 
-
-@dataclass(frozen=True, kw_only=True)
-class Bonded:
-    """A spring-damper that pulls too, so its runs stay linear."""
-
-    K: float = 800.0
-    B: float = 0.0
-
-    claims: ClassVar[dict[str, str]] = {}
-
-    def start(self, at: At) -> tuple[()]:
-        return ()
-
-    def force(self, s: tuple[()], at: At) -> tuple[float, tuple[()]]:
-        return self.K * at.x + self.B * at.v, s
-
-
-@dataclass(frozen=True, kw_only=True)
-class Squared:
-    """The same with K^2 over 1 kN/m as its stiffness."""
-
-    K: float = 800.0
-    B: float = 0.0
-
-    claims: ClassVar[dict[str, str]] = {}
-
-    def start(self, at: At) -> tuple[()]:
-        return ()
-
-    def force(self, s: tuple[()], at: At) -> tuple[float, tuple[()]]:
-        return self.K * self.K * 1e-3 * at.x + self.B * at.v, s
+# The spring-damper with K^2 over 1 kN/m as its stiffness.
+Squared = law_of(OneSpring, force=lambda law, s, at: (law.K * law.K * 1e-3 * at.x + law.B * at.v, s))
 
 
 def handle(law: Any = None, *, m: float = 0.04, b: float = 0.8, dt: float = 1e-3, hand: Any = None,
-           **device: Any) -> Scene:
+           electrical: Any = None, **device: Any) -> Scene:
     return Scene(law=law or VirtualWall(), master=MassDamper(mass=m, damping=b), hand=hand, dt=dt, duration=1.0,
-                 device_m=Device(velocity=BackwardDifference(), **device))
+                 electrical=electrical, device_m=Device(velocity=BackwardDifference(), **device))
 
 
 def finger(mass: float = 0.0) -> Grip:
@@ -80,26 +51,29 @@ def edge(scene: Scene, B: float = 0.0) -> float:
 
 
 class TestEdge:
-    @pytest.mark.parametrize(("d", "K"), [(0, 1605.35), (1, 536.28), (5, 148.08), (10, 78.745), (100, 9.7415)])
-    def test_the_critical_stiffness_of_a_free_handle(self, d: int, K: float) -> None:
-        assert edge(handle(delay=d)) == pytest.approx(K, abs=6e-3 if K > 100.0 else 6e-4)
+    def test_the_critical_stiffness_of_a_free_handle(self) -> None:
+        for d, K in ((0, 1605.35), (1, 536.28), (5, 148.08), (10, 78.745), (100, 9.7415)):
+            assert edge(handle(delay=d)) == pytest.approx(K, abs=6e-3 if K > 100.0 else 6e-4)
 
     def test_with_a_damper_as_strong_as_the_device_the_published_rule_errs_the_other_way(self) -> None:
         scene = handle(delay=5)
         assert edge(scene, 0.8) == pytest.approx(282.69, abs=5e-3)
         assert float(published_rule(scene, 0.8)) == pytest.approx(290.91, abs=5e-3)  # type: ignore[arg-type]
 
-    @pytest.mark.parametrize(("d", "K"), [(0, 1600.0), (1, 533.33), (5, 145.45), (10, 76.19), (100, 7.960)])
-    def test_the_lines_laid_over_are_the_published_ones(self, d: int, K: float) -> None:
-        assert published_rule(handle(delay=d), np.array([0.0])) == pytest.approx(K, abs=5e-3)
-        assert passive_line(handle(delay=d), np.array([0.0, 0.4, 0.8])) == pytest.approx([1600.0, 800.0, 0.0])
+    def test_the_lines_laid_over_are_the_published_ones(self) -> None:
+        for d, K in ((0, 1600.0), (1, 533.33), (5, 145.45), (10, 76.19), (100, 7.960)):
+            assert published_rule(handle(delay=d), np.array([0.0])) == pytest.approx(K, abs=5e-3)
+            line = passive_line(handle(delay=d), np.array([0.0, 0.4, 0.8]))
+            assert line == pytest.approx([1600.0, 800.0, 0.0])
 
-    @pytest.mark.parametrize("scene", [
-        handle(Bonded(B=0.5)), handle(Bonded(B=0.5), hand=finger(0.02)), handle(Bonded(B=2.0), delay=4, hand=finger()),
-        handle(Bonded(B=1.0), every=5), handle(Bonded(), delay=30, hand=finger()),
-        replace(handle(Bonded(B=0.5)), electrical=ElectricalDamping(b=1.0, cutoff=20.0)),
-    ], ids=["free", "hand", "delay", "slow", "late", "shunt"])
-    def test_runs_in_virtual_time_die_just_inside_and_grow_just_outside(self, scene: Scene) -> None:
+    @pytest.mark.parametrize("knobs", [
+        {"B": 2.0, "delay": 4, "hand": 0.0}, {"B": 0.5, "b_e": 1.0}, *(pytest.param(each, marks=pytest.mark.full)
+            for each in ({"B": 0.5}, {"B": 0.5, "hand": 0.02}, {"B": 1.0, "every": 5}, {"delay": 30, "hand": 0.0}))])
+    def test_runs_in_virtual_time_die_just_inside_and_grow_just_outside(self, knobs: dict[str, Any]) -> None:
+        parts = {"B": 0.0, "hand": None, "b_e": None, **knobs}
+        B, mass, b_e = (parts.pop(name) for name in ("B", "hand", "b_e"))
+        scene = handle(OneSpring(B=B), hand=None if mass is None else finger(mass),
+                       electrical=b_e and ElectricalDamping(b=b_e, cutoff=20.0), **parts)
         K = edge(scene, scene.law.B)
         for factor, grows in ((0.98, False), (1.02, True)):
             one = replace(with_gains(scene, factor * K, scene.law.B), start_m=1e-3, duration=6.0)
@@ -127,7 +101,7 @@ class TestEdge:
         assert most_damping(crossed) == pytest.approx(most, rel=1e-5)
 
     def test_a_loop_that_is_not_affine_is_asked_place_by_place(self) -> None:
-        squared = loop(handle(Squared()), hand=False)
+        squared = loop(handle(Squared(K=800.0)), hand=False)
         assert squared.coarse
         assert boundary(squared, [0.0]).K[0] == pytest.approx((1e3 * 1605.35) ** 0.5, rel=1e-4)
 
@@ -139,22 +113,21 @@ class TestEdge:
 
 
 class TestRegion:
-    @pytest.mark.parametrize("d", [0, 1, 7])
-    @pytest.mark.parametrize("hand", [None, finger(), finger(0.5)])
-    def test_what_is_passive_is_stable_in_any_hand(self, d: int, hand: Any) -> None:
-        scene = handle(hand=hand, delay=d)
-        corners = np.array(passive_region(scene).corners)
-        assert is_stable(loop(scene, hand=True), 0.999 * corners[:, 0], 0.999 * corners[:, 1]).all()
+    def test_what_is_passive_is_stable_in_any_hand(self) -> None:
+        for d in (0, 1, 7):
+            for hand in (None, finger(), finger(0.5)):
+                scene = handle(hand=hand, delay=d)
+                corners = np.array(passive_region(scene).corners)
+                assert is_stable(loop(scene, hand=True), 0.999 * corners[:, 0], 0.999 * corners[:, 1]).all(), (d, hand)
 
-    @pytest.mark.parametrize("k", [0.0, 50.0, 1e4])
-    @pytest.mark.parametrize("mass", [0.0, 1.0])
-    def test_with_a_shunt_too_and_four_times_as_far_out_it_is_not(self, k: float, mass: float) -> None:
-        scene = replace(handle(hand=Grip(mass=mass, k=k, d=0.0, reference=Rest())),
-                        electrical=ElectricalDamping(b=2.0, cutoff=10.0))
-        corners = np.array(passive_region(scene).corners)
-        assert is_stable(loop(scene, hand=True), 0.999 * corners[:, 0], 0.999 * corners[:, 1]).all()
-        if k == mass == 0.0:
-            assert not is_stable(loop(scene, hand=True), *(4.0 * corners[corners[:, 0].argmax()]))
+    def test_with_a_shunt_too_and_four_times_as_far_out_it_is_not(self) -> None:
+        for k in (1e4, 50.0, 0.0):
+            for mass in (1.0, 0.0):
+                scene = handle(hand=Grip(mass=mass, k=k, d=0.0, reference=Rest()),
+                               electrical=ElectricalDamping(b=2.0, cutoff=10.0))
+                corners = np.array(passive_region(scene).corners)
+                assert is_stable(loop(scene, hand=True), 0.999 * corners[:, 0], 0.999 * corners[:, 1]).all(), (k, mass)
+        assert not is_stable(loop(scene, hand=True), *(4.0 * corners[corners[:, 0].argmax()]))
 
     def test_more_damping_of_the_device_never_narrows_it(self) -> None:
         some = [0.0, 1.0, 5.0, 20.0]
