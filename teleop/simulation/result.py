@@ -75,7 +75,7 @@ class Result:
     path: Path | None = None
 
     def __repr__(self) -> str:
-        """One line: scene, law, how it ended."""
+        """Scene, law and status in one line."""
         law = law_with_gains(self.parameters.get("law"))
         return f"Result({self.scene}, law {law}, {self.mode}: {self.status}, {self.ticks} ticks of {self.dt:g} s)"
 
