@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from teleop import PFRA, Direct, Refused, VirtualCoupling, VirtualWall, Wave, check_law, find_law, number
+from teleop import PFRA, Direct, Refused, VirtualCoupling, VirtualWall, Wave, check_law, find_law, number, run
 from teleop.checks import law as law_module
 from teleop.checks.law import try_engines
 from teleop.law import At, known_laws
@@ -240,10 +240,8 @@ def test_every_engine_has_the_bits_of_a_single_run(compiled: bool) -> None:
 
 
 def test_a_figure_that_is_off_by_a_bit_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = law_module.run
-
     def off(scene: Any) -> Any:
-        result = own(scene)
+        result = run(scene)
         return replace(result, metrics={**result.metrics, "f_m_max": math.nextafter(result.metrics["f_m_max"], 1e9)})
 
     monkeypatch.setattr(law_module, "run", off)

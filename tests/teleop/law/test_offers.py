@@ -49,7 +49,8 @@ def master(self: Any, s: Bank, at: At, rx: Place) -> Any:
 
 
 def conditions(self: Any, facts: Facts) -> tuple[str, ...]:
-    return (f"B is to be below {facts.mass_m:g}: --set law.B",) * (facts.mass_m < self.B)
+    told = f"B is to be below {facts.mass_m:g}: --set law.B"
+    return (told,) if facts.mass_m < self.B else ()
 
 
 # A damper at each end, and the energy that it took up. The other end is of no interest to it. `wrong`: the share of the

@@ -53,7 +53,8 @@ def probe(at: str, end: str, value: Any) -> Any:
         seen.append(getattr(here, at))
         return here.span * here.gain * 0.0 + own(self, s, here, rx)[0], *own(self, s, here, rx)[1:]
 
-    return law_of(Timed, **{end: asked})(K=200.0)
+    parts: dict[str, Any] = {end: asked}
+    return law_of(Timed, **parts)(K=200.0)
 
 
 @pytest.mark.parametrize("end", ["master", "slave"])

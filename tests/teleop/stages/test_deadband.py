@@ -31,10 +31,10 @@ class State(NamedTuple):
     heard: float
 
 
-Numbered = law_of(  # its messages are the numbers of their ticks, and it shows the newest that it was given
-    name="Numbered", shows=("heard",),
+PARTS: dict[str, Any] = {
     **{f"{e}_start": lambda self, at: (State(0.0, -1.0), Number(-1.0)) for e in ENDS},
-    **{e: lambda self, s, at, rx: (0.0, Number(s.n), State(s.n + 1.0, rx.x)) for e in ENDS})
+    **{e: lambda self, s, at, rx: (0.0, Number(s.n), State(s.n + 1.0, rx.x)) for e in ENDS}}
+Numbered = law_of(name="Numbered", shows=("heard",), **PARTS)  # sends the numbers of its ticks, shows the newest it got
 
 
 def scene(**parts: Any) -> Scene:

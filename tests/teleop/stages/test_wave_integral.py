@@ -122,7 +122,7 @@ def over_a_link(
 
 
 BARE = Integral(settle=1.0, memory=0.0, ahead=0.0)  # releases the queue with 1 s, whatever gaps there were
-RULES = {"integral": Integral(), "integral:0.005": Integral(0.005), "bare": BARE, "energy": Energy()}
+RULES: dict[str, Gaps] = {"integral": Integral(), "integral:0.005": Integral(0.005), "bare": BARE, "energy": Energy()}
 
 
 # -- a given wave over a given link: the numbers of two waves
@@ -173,7 +173,8 @@ def sent_in_a_run(playout: Any, wave: Callable[[int], float], late: Callable[[in
     trace = run(Scene(law=Source(wave=wave), master=MassDamper(mass=1.0), slave=MassDamper(mass=1.0), playout=playout,
                       link=ByNumber(link), energy=True, duration=20.0)).trace
     waves, left = trace["f_s"], trace["E_in_fwd"] - trace["E_out_fwd"]
-    told = DT * waves.sum(), float(trace["E_out_fwd"][-1]), left.min(), int((waves == 0.0).sum()), abs(waves).max()
+    told: list[Any] = [DT * waves.sum(), float(trace["E_out_fwd"][-1]), left.min(), int((waves == 0.0).sum()),
+                       abs(waves).max()]
     return waves, Told(*[round(each, 6) for each in told])
 
 
@@ -267,7 +268,8 @@ def above(module: Any, playout: Gaps) -> float:
 
 def out_of_the_cone(module: Any, playout: Gaps) -> float:
     """How far a steady wave leaves D^2 <= 2 S L."""
-    return max(own.D * own.D - 2.0 * own.S * own.L for _, own in over_gaps(module, playout) if own.L >= 0.5 * DT)
+    return float(max(own.D * own.D - 2.0 * own.S * own.L for _, own in over_gaps(module, playout)
+                     if own.L >= 0.5 * DT))
 
 
 def misbooked(module: Any, playout: Gaps, *, left_out: float = 0.1, every: tuple[int, int] = (1, 1),
