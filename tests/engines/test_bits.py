@@ -55,8 +55,8 @@ coupled axes without a link             x     x      f       f      f      f
 rotations                               x     x      x       f      f      x
 six axes                                f     f      f              f      f
 friction                                x     x      x       -      -      f
-soft and relaxing bodies that move      x     x      x       -      -      f
-relaxing, moved and none                f     f      f       -      -      f
+soft and relaxing bodies that move      x     x      f       -      -      f
+relaxing, moved and none                f     f      x       -      -      f
 windows of readings                     x     x      x                     f
 end fit, friction                       f     f      f                     -
 best fit, electrical damping            f     f      f                     -
