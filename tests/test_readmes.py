@@ -157,6 +157,7 @@ def test_the_map_has_every_room_once() -> None:
     assert set(drawn) >= rooms().rooms()
 
 
+@pytest.mark.house
 def test_the_map_of_the_rooms_is_what_the_imports_say() -> None:
     assert rooms().drawn() == rooms().PICTURE.read_text(), "the imports have changed: python .figures/rooms.py"
 
