@@ -29,10 +29,6 @@ link = "delay(0.2)"
 name = "tissue"
 scene = "soft_tissue"
 set = {duration = 0.4}
-[[environment]]
-name = "free"
-scene = "free_motion"
-set = {duration = 0.4}
 """
 
 
