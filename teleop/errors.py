@@ -113,7 +113,8 @@ def number(name: str, value: object, *, low: float | None = None, above: float |
     if type(value) is float:  # nearly always
         got = value
     elif isinstance(value, bool) or not isinstance(value, Real):
-        raise WrongNumber(name, value, "a number", 1.0)
+        example = max(1.0, low if low is not None else 1.0, above + 1.0 if above is not None else 1.0)
+        raise WrongNumber(name, value, "a number", example if high is None else min(example, high))
     else:
         try:
             got = float(value)

@@ -25,7 +25,7 @@ from zlib import crc32
 
 from msgpack import Packer, unpackb
 
-from teleop.errors import Refused, number
+from teleop.errors import Refused, WrongNumber, whole_number
 from teleop.kind import totals
 from teleop.scene.scene import CHECKSUM, FLOAT, HEAD, LEAST, MOST_DATA, least_size
 
@@ -236,11 +236,10 @@ def one_line(text: str) -> str:
 def check_size(size: int, width: int, *, energy: bool = True) -> int:
     """`size` if every DATA packet of `width` numbers can be padded to it, otherwise `Refused`."""
     least = least_size(width, energy=energy)
-    got = int(number("packet_size", size, high=MOST_DATA))
-    if got != size or got < least:
-        needed = f"packet_size must be at least {least} whole bytes, which {width} numbers need, not {size:g}"
-        raise Refused(f"{needed}; write packet_size={least}")
-    return got
+    try:
+        return whole_number("packet_size", size, low=least, high=MOST_DATA)
+    except WrongNumber as wrong:
+        raise wrong.with_note(f"{width} numbers need {least} bytes") from None
 
 
 class Window:

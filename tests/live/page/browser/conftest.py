@@ -13,9 +13,9 @@ from tests.browser import Browser, Page
 from tests.live.page.browser.mock import Mock
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
-    """One Chromium for all tests; each has tabs of its own."""
+    """One Chromium for all tests here, gone before any other test: what it draws takes most of a core."""
     one = Browser()
     yield one
     one.close()
@@ -59,7 +59,7 @@ def tab(browser: Browser) -> Iterator[Callable[..., Page]]:
         page.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def desktop(browser: Browser) -> Iterator[Page]:
     """A tab that shows one page after the other."""
     one = browser.page(width=1280, height=1400)
@@ -68,10 +68,10 @@ def desktop(browser: Browser) -> Iterator[Page]:
 
 
 @pytest.fixture
-def page(mock: Mock, desktop: Page) -> Page:
-    """A tab of a desktop that shows the mock."""
-    desktop.call("Page.navigate", url="about:blank")
+def page(mock: Mock, desktop: Page) -> Iterator[Page]:
+    """A tab of a desktop that shows the mock, and nothing when the test is over."""
     desktop.console.clear()  # what the page before had to say
     desktop.go(mock.url)
     desktop.until("row !== null && hello !== null")
-    return desktop
+    yield desktop
+    desktop.call("Page.navigate", url="about:blank")
