@@ -195,4 +195,5 @@ def test_tests_start_no_program_that_a_fresh_machine_may_lack() -> None:
 def test_tests_mirror_the_folders() -> None:
     for path in (ROOT / "tests").iterdir():
         if path.is_dir() and not path.name.startswith("_"):
-            assert path.name in (*PACKAGES, "live", "bench", "fuzz", "mutants", "plugin", "device_plugin"), path
+            assert path.name in (*PACKAGES, "engines", "live", "bench", "fuzz", "mutants", "plugin",
+                                 "device_plugin"), path
