@@ -16,16 +16,24 @@ import pytest
 
 from teleop import PFRA, Direct, Refused, VirtualCoupling, VirtualWall, Wave, check_law, find_law, number, run
 from teleop.checks import law as law_module
+from teleop.checks.conformance import try_conformance
 from teleop.checks.law import try_engines
+from teleop.checks.trials import try_claims
 from teleop.law import At, known_laws
 
-SHOWN = {"wave", "tdpa"}  # a wave; sums over the axes with totals
+SLOW = ("pspm", "two_layer")  # the search takes some seconds of a law that keeps energy, which `tdpa` shows
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.full] * (name not in SHOWN))
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.full] * (name in SLOW))
                                   for name in known_laws()])
 def test_every_listed_law_conforms(name: str) -> None:
     check_law(find_law(name)(), compiled=False)
+
+
+@pytest.mark.parametrize("name", SLOW)
+def test_a_law_that_is_searched_in_the_night_keeps_what_it_claims_in_the_trials(name: str) -> None:
+    try_conformance(find_law(name)())
+    try_claims(find_law(name)())
 
 
 @pytest.mark.full

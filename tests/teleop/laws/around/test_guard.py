@@ -84,9 +84,11 @@ def test_a_slave_starves_unless_the_hand_is_asked_for_what_it_needs() -> None:
 
 
 def test_a_law_that_gives_out_nothing_is_the_law_to_the_bit() -> None:
-    knobs = {"delay": 0.05, "duration": 1.0}
-    alone, guarded = [run(load_scene("canonical", law=law, **knobs)).trace for law in ("wave", "guard(drag=0) | wave")]
-    assert all(np.array_equal(alone[name], guarded[name], equal_nan=True) for name in alone)
+    """Or less than the account has: of a law that sums over the axes too."""
+    for law, E0 in (("wave", 0.05), ("pfra", 1e3)):
+        alone, guarded = [run(load_scene("canonical", law=each, delay=0.05, duration=1.0)).trace
+                          for each in (law, f"guard(E0={E0}, drag=0) | {law}")]
+        assert all(np.array_equal(alone[name], guarded[name], equal_nan=True) for name in alone), law
 
 
 @pytest.mark.parametrize("law", [Direct(), *[pytest.param(law, marks=pytest.mark.full) for law in (
