@@ -50,7 +50,7 @@ a deadband                              x     x      f       f      f      -
 stages around a law                     f     x      f       f      f      f
 a coupling with branches                f     f      f       f      f      -
 axes of their own                       x     x      x       f      f      x
-eleven axes                             f     f      f                     f
+eleven axes                             x     x      f                     f
 coupled axes without a link             x     x      f       f      f      f
 rotations                               x     x      x       f      f      x
 six axes                                f     f      f              f      f

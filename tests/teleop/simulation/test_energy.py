@@ -72,6 +72,9 @@ def test_over_a_constant_delay_e_link_is_what_is_under_way() -> None:
         u_m, _, _, w_s = waves(trace)
         sent = np.concatenate([np.zeros(delay), summed(u_m**2 + w_s**2)])
         assert trace["E_link"] == pytest.approx(sent[delay:] - sent[:-delay], abs=1e-13), delay
+        if delay == 1:  # as without a link
+            for name, column in run(make(link=None)).trace.items():
+                assert np.array_equal(column, trace[name]), name
 
 
 def test_e_port_pairs_each_held_force_with_the_motion_it_was_held_over() -> None:

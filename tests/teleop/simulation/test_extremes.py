@@ -185,7 +185,8 @@ def ends_as_it_says(case: Case) -> bool:
     if "is not finite" in what:
         before = all(column[:tick].all() for column in sound.values())
         return before and tick < got.ticks and not sound[what.split()[0]][tick].all()
-    return tick == got.ticks - 1 and what.startswith(("x_m passed", "x_s passed"))
+    return tick == got.ticks - 1 and what.startswith(("x_m passed", "x_s passed")) and (
+        everywhere or not is_beyond(case))
 
 
 def is_accounted_for(case: Case) -> bool:

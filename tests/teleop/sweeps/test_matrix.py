@@ -132,8 +132,10 @@ class TestABlock:
 
 class TestWhatIsSaid:
     def test_counts_by_block_and_has_a_line_for_each_surprise(self, written: Written) -> None:
-        blocks = written(SMALL)
-        came = run_matrix(blocks)
+        blocks, shown = written(SMALL), list[tuple[int, int]]()
+        came = run_matrix(blocks, show=lambda done, of: shown.append((done, of)))
+        assert shown == sorted(shown)
+        assert shown[-1] == (5, 5)
         lines = table(blocks, came).splitlines()
         assert [line.split() for line in lines[1:4]] == [
             ["at_rest", "free_motion", "4", "4"], ["local", "local", "1", "0"], ["in", "all", "5", "4"]]
@@ -153,7 +155,6 @@ class TestWhatIsSaid:
         assert (told["rows"], told["as_expected"], len(told["unexpected"])) == (5, 4, 1)
         assert told["outcomes"][-1]["status"] == "diverged"
         assert told["blocks"][1] == {"name": "local", "scene": "local", "rows": 1, "as_expected": 0}
-
 
 
 WRONG = {

@@ -31,15 +31,19 @@ def job(knobs: list[dict[str, Any]], engine: str) -> Job:
     return Job("canonical", {}, [(i, {**FIXED, **own}, 1) for i, own in enumerate(knobs)], MEASURES, engine)
 
 
-@pytest.mark.parametrize("engine", ["plain", *[
-    pytest.param(engine, marks=pytest.mark.full) for engine in ("scalar", "vector")]])
-def test_a_row_is_what_it_is_alone_whatever_rows_came_before_it(engine: str) -> None:
+ALIKE = [own for own in KNOBS if not {"law", "energy", "observer"} & own.keys()]  # all run by one kernel
+
+
+@pytest.mark.parametrize(("engine", "given"), [("plain", KNOBS), ("scalar", ALIKE), *[
+    pytest.param(engine, KNOBS, marks=pytest.mark.full) for engine in ("scalar", "vector")]],
+    ids=["plain", "scalar, of one law", "scalar", "vector"])
+def test_a_row_is_what_it_is_alone_whatever_rows_came_before_it(engine: str, given: list[dict[str, Any]]) -> None:
     # Rows of one job have the same knobs: each has all of them here.
-    every = dict.fromkeys(name for own in KNOBS for name in own)
+    every = dict.fromkeys(name for own in given for name in own)
     default = {"k_e": 5e3, "d_e": 5.0, "law": "wave", "law.K": 500.0, "amplitude": 0.05, "k_h": 200.0,
                "observer": 200.0, "energy": True, "dt": 1e-3, "wall": 0.03, **FIXED}
-    rows = [{name: {**default, **own}[name] for name in every} for own in KNOBS]
-    rows = [row if row["law"] == "wave" else {k: v for k, v in row.items() if k != "law.K"} | {"law.K": 30.0}
+    rows = [{name: {**default, **own}[name] for name in every} for own in given]
+    rows = [row if row.get("law", "wave") == "wave" else {k: v for k, v in row.items() if k != "law.K"} | {"law.K": 30.0}
             for row in rows]
     together = work(job(rows, engine)).rows
     alone = [{**work(job([row], "plain")).rows[0], "row": i} for i, row in enumerate(rows)]
