@@ -139,7 +139,7 @@ class TestAStabilityMap:
             edges = np.unique(cells.get_coordinates()[..., which])
             assert (axes.get_xscale(), axes.get_yscale())[which] == scaled
             assert (axes.get_xlim(), axes.get_ylim())[which] == (edges[0], edges[-1]) == (min(delays), max(delays))
-            for low, value, high in zip(edges[:-1], sorted(delays), edges[1:], strict=True):  # each value is in its cell
+            for low, value, high in zip(edges[:-1], sorted(delays), edges[1:], strict=True):  # each is in its cell
                 assert low <= value <= high
 
     def test_has_no_boundary_beside_what_never_ran(self, drawn: Any) -> None:
