@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import subprocess
@@ -9,7 +10,9 @@ import sys
 import tarfile
 import zipfile
 from email import message_from_bytes
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 
 import msgpack
 import numpy as np
@@ -110,3 +113,15 @@ def test_an_installed_package_says_where_the_rivals_are(installed: Path, tmp_pat
     done = run(installed / "python", "-m", "teleop.bench", "rivals", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[1:] == ["not in an installed package: run it in a clone of the repository"]
+
+
+@pytest.mark.parametrize("name", ["master", "slave", "channel"])
+def test_beside_another_package_called_teleop_each_says_so(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another project's has the same name."""
+    spec = spec_from_file_location(f"{name}_again", importlib.import_module(name).__file__)
+    assert spec is not None
+    assert spec.loader is not None
+    monkeypatch.setitem(sys.modules, "teleop", ModuleType("teleop"))
+    monkeypatch.delitem(sys.modules, "teleop.version", raising=False)
+    with pytest.raises(ImportError, match=r"another package called teleop .* install bilateral-teleop"):
+        spec.loader.exec_module(module_from_spec(spec))

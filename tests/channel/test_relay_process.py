@@ -164,8 +164,11 @@ def test_only_the_two_ends_of_the_session_are_listened_to_and_numbers_that_the_s
 
 
 def said_by(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, listen: str, *more: str) -> str:
-    """What a channel says of itself before it relays."""
-    monkeypatch.setattr(command.RelayShell, "run", lambda *_: None)
+    """What a channel says of itself before it relays: beyond this machine what is sealed alone, unless told not to."""
+    def looked_at(shell: command.RelayShell, _interrupt: Any) -> None:
+        assert shell.router._sealed_only is (listen.startswith("0.0.0.0") and "--insecure" not in more)
+
+    monkeypatch.setattr(command.RelayShell, "run", looked_at)
     assert command.main(["canonical", "--no-realtime", "--listen", listen, "--peer", "127.0.0.1:9", *more]) == 0
     return capsys.readouterr().out.partition("\n")[0]
 

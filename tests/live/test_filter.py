@@ -5,11 +5,14 @@ from __future__ import annotations
 import socket
 import sys
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from teleop.live.driving import SEALED_OPEN_NS, Listening
 from teleop.live.net.filter import LONGEST, Shape, attach, detach, of_records, of_session, program
 from teleop.live.net.wire import Wire
 from teleop.protocol.packet import DATA, VERSION, Echo, Kind, Packet, encode
@@ -120,7 +123,8 @@ def test_sealed_data_comes_through_as_long_as_it_says_and_of_the_epoch_of_data(e
     good = [sealed(23, 1, size) for size in (24, 160, 8000)]
     bad = [sealed(23, 1, 160, says=161), sealed(23, 1, 160)[:-3], sealed(23, 0, 160), sealed(23, 2, 160), bytes(173),
            sealed(23, 1, 0)[:12], sealed(24, 1, 160), packet(Kind.FORTH)]
-    meeting = [sealed(kind, 0, 60) for kind in (20, 21, 22)]
+    meeting = [sealed(kind, epoch, 60) for kind in (20, 21, 22) for epoch in (0, 1)]
+    meeting += [sealed(22, 0, 60) + sealed(20, 0, 1)]  # several records at once
     attach(ends.here, program(*of_records(handshakes=False)))
     assert ends.come(*bad, *good, *meeting) == good
     attach(ends.here, program(*of_records()))
@@ -187,3 +191,17 @@ def test_a_filter_is_taken_off_again_though_the_peer_could_not_be_connected_to()
         wire.listen_to_all()
         other.sendto(b"another session's", here.getsockname())
         assert wire.receive() is not None
+
+
+def test_an_end_with_keys_keeps_to_its_peers_records_but_in_a_silence_and_while_an_address_is_in_question() -> None:
+    """Or a flood from elsewhere would cost it ticks."""
+    heard: list[Any] = []
+    keys = SimpleNamespace(settled=False)
+    wire: Any = SimpleNamespace(secure_link=keys, keep_to_peer=heard.append, listen_to_all=lambda: heard.append("all"))
+    end: Any = SimpleNamespace(heard_ns=1, session=SimpleNamespace(number=SESSION, carries_data=True))
+    listening = Listening(end, wire)
+    listening.update(0, True)
+    keys.settled, end.heard_ns = True, 2
+    for now in (2, 2 + SEALED_OPEN_NS, 3 + SEALED_OPEN_NS):
+        listening.update(now, False)
+    assert heard == ["all", of_records(), "all"]

@@ -196,7 +196,7 @@ def test_a_rate_that_is_none_is_read_as_one_and_a_grid_of_a_clock_that_nobody_ha
         slave = started(Session(master=False, manifest=MANIFEST), 1, 0, **{EVERY: text})
         master, _ = welcomed(**{EVERY: text})
         assert (slave.peer_every, master.peer_every, master.meeting) == (1, 1, False), text
-    for text in ("--5", "x", "", "²", "9" * 19, "-" + "9" * 18, str(2**61 + 1)):
+    for text in ("--5", "x", "", "0x1", "²", "9" * 19, "-" * 19, "-" + "9" * 18, str(2**61 + 1)):
         master, replies = welcomed(**{TICK_0: text})
         assert master.joined is (text == "-" + "9" * 18), text
         (start,) = [decode(data, 1) for data in replies]
