@@ -74,7 +74,7 @@ def test_every_message_fits_the_schema_of_its_topic_whose_fields_have_one_type_f
             assert {*types_of(schemas[topic])} <= {"object", "number", "integer", "string"}
             validator = jsonschema.Draft202012Validator(schemas[topic])
             jsonschema.Draft202012Validator.check_schema(schemas[topic])
-            for _, message in inner[::10]:
+            for _, message in [*inner[:9], *inner[9::10]]:
                 validator.validate(message)
             assert validator.is_valid({**inner[0][1], "another": 1}) == (topic == "/log")
 

@@ -11,6 +11,7 @@ import pytest
 
 import teleop.terminal.plotting
 from teleop import Refused
+from teleop.terminal.options import formats
 from teleop.terminal.plotting import asked_formats, new_figure, save
 
 pytest.importorskip("matplotlib")
@@ -34,6 +35,7 @@ def test_of_nothing_asked_for_there_is_none_and_left_out_it_is_png() -> None:
     assert asked_formats(Namespace(plot=True, format=None)) == ("png",)
     assert asked_formats(Namespace(plot=False, format=None), wanted=True) == ("png",)
     assert asked_formats(Namespace(plot=False, format=("svg",))) == ("svg",)
+    assert formats("pdf, SVG") == ("pdf", "svg")
 
 
 class TestNames:
