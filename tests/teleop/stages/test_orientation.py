@@ -11,7 +11,22 @@ import pytest
 from channel.link import parse_link
 from master.hand import Grip, Reach
 from slave.tissue import Tissue
-from teleop import PSPM, TDPA, FourChannel, MassDamper, PDamped, Scene, TwoLayer, Wave, WavePosition, fitted, run
+from teleop import (
+    PSPM,
+    TDPA,
+    FourChannel,
+    MassDamper,
+    PDamped,
+    Scene,
+    TwoLayer,
+    Wave,
+    WavePosition,
+    find_law,
+    fitted,
+    run,
+)
+from teleop.kind import positions
+from teleop.law import known_laws, law_name, start_at
 from teleop.laws.pp import PositionPosition
 from teleop.physics.rotation import exp, log, product
 from tests.teleop.stages.tumbling import apart, counted, orientations, tumbling
@@ -79,6 +94,19 @@ def turning(angle: float, **parts: Any) -> Scene:
     axis = np.array((0.6, 0.0, 0.8)) * angle
     hand = Grip(mass=0.001, k=2.0, d=0.05, reference=Reach(to=tuple(axis.tolist()), start=0.2, duration=3.0))
     return tumbling(**{"hand": hand, **parts})
+
+
+def test_of_every_listed_law_the_places_in_messages_and_states_are_positions() -> None:
+    """Any other kind of field is a plain number, whose difference goes the long way round."""
+    places = set()
+    for law in [law for name in known_laws() if hasattr(law := find_law(name)(), "master_start")]:
+        for start in (law.master_start, law.slave_start):
+            for record in [type(each) for each in start(start_at(0.0, 0.0, 0.0, 1e-3)) if each != ()]:
+                names = ("x", "y") if type(law) is PSPM else ("x", "x_d")
+                named = {field for field in record._fields if field in names}
+                assert named == set(positions(record)), record
+                places |= {(law_name(law), field) for field in named}
+    assert {law for law, _ in places} == {name for name in known_laws() if not name.startswith("virtual")}
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.full] * (name not in ("tdpa", "wave_position")))
