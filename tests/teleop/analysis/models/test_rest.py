@@ -32,7 +32,7 @@ def spring(damping: float, **other: Any) -> Scene:
     return replace(made, **other)
 
 
-def swings(monkeypatch: pytest.MonkeyPatch, amplitude: Callable[[], float]) -> list[int]:
+def swings(monkeypatch: pytest.MonkeyPatch, amplitude: Callable[[], Any]) -> list[int]:
     """Let every run be a swing at 40 Hz; the list of their ticks."""
     asked: list[int] = []
 
@@ -107,9 +107,19 @@ class TestRest:
             assert settled(replace(moved, left_out_m=None, left_out_s=None)).verdict == "limit cycle"
             assert settled(spring(0.0, left_out_m=moved.left_out_m)).verdict == "limit cycle"
 
-    @pytest.mark.full
-    def test_is_looked_for_after_what_moved_it(self) -> None:
-        assert settled(spring(0.1, duration=4.0), since=2000).sentence.startswith("still dies away after 64 s")
+    @pytest.mark.parametrize(("until", "after", "lengths", "said"), [
+        (100.0, 0.0, [1, 2], "keeps swinging: 40 Hz"),
+        (1.0, -1e-4, [1, 2, 4, 8, 16, 32], "still dies away after 32 s: 40 Hz")])
+    def test_is_looked_for_after_what_moved_it(
+        self, until: float, after: float, lengths: list[int], said: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def amplitude() -> Any:
+            k = np.arange(asked[-1])
+            return np.where(k < 3000, until, np.exp(after * k))
+
+        asked = swings(monkeypatch, amplitude)
+        assert settled(spring(0.0, duration=4.0), since=3000).sentence.startswith(said)
+        assert asked == [3000 + 1000 * times for times in lengths]
 
 
 def test_a_frequency_between_two_lines_is_found() -> None:
