@@ -147,8 +147,7 @@ class TestConditions:
         assert lossy.bwd.least == pytest.approx(0.02)
         assert lossy.bwd.greatest >= 0.025
 
-    @pytest.mark.parametrize("law", ["tdpa", pytest.param("pspm", marks=pytest.mark.full),
-                                     pytest.param("two_layer", marks=pytest.mark.full)])
+    @pytest.mark.parametrize("law", ["tdpa", "pspm", "two_layer"])
     def test_a_damper_is_held_for_as_long_as_ticks_are_left_out(self, law: str) -> None:
         """The bound was that of a tick, and a damper that a light body turned round in ten of them was no note."""
         late = load_scene("hard_wall", law=law, left_out=0.6, duration=2.0, energy=True)
