@@ -142,8 +142,9 @@ class Range:
         if low == high:
             raise Refused(f"the range {low:g}:{high:g} has a single value; write it alone, {low:g}")
         if self.log and min(low, high) <= 0.0:
-            raise Refused(f"the range {low:g}:{high:g} by equal ratios must lie above 0; write for example "
-                          "1e2:1e6:9:log")
+            most = max(low, high)
+            example = f"{1e-3 * most:g}:{most:g}" if most > 0.0 else "1:1000"  # the same in a grid and in a sample
+            raise Refused(f"the range {low:g}:{high:g} by equal ratios must lie above 0; write for example {example}")
 
     def values(self, n: int) -> list[float]:
         """`n` values evenly spaced, both ends exactly.
