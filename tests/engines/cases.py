@@ -229,10 +229,10 @@ def read_by(velocity: Callable[[float], Any], **knobs: Any) -> list[Scene]:
 
 
 def many_axes() -> list[Scene]:
-    """Eleven axes, of which two begin with the same digit."""
-    base = load_scene("canonical")
-    return [replace(base, law=PFRA(alpha=0.1 * n), axes=11, environment=None, duration=0.1, link=parse_link(ROUGH))
-            for n in range(3)]
+    """Eleven axes, of which two begin with the same digit, each from a place of its own and without a hand."""
+    base = replace(load_scene("canonical"), hand=None, environment=None, duration=0.1, link=parse_link(ROUGH))
+    places = tuple([0.01 * (i + 1) for i in range(11)])
+    return [replace(base, law=PFRA(K=300.0 + 100.0 * n), axes=11, start_m=places) for n in range(3)]
 
 
 def coupled() -> list[Scene]:
