@@ -256,8 +256,9 @@ def test_the_sampled_matrix_is_what_ticks_do(law: Any, observer: float | None) -
 
 
 @pytest.mark.parametrize(("law", "observer"), [
-    (Wave(b=2.0, K=500.0, B=20.0), None), (Share(), 200.0), *(pytest.param(law, observer, marks=pytest.mark.full)
-        for law in (Springs(), PFRA(alpha=1.0)) for observer in (200.0, None))])
+    (Wave(b=2.0, K=500.0, B=20.0), None), (Share(), 200.0), (Share(), None),
+    *(pytest.param(law, observer, marks=pytest.mark.full) for law in (Springs(), PFRA(alpha=1.0))
+      for observer in (200.0, None))])
 def test_a_short_tick_is_no_tick(law: Any, observer: float | None) -> None:
     f = np.array([0.2, 3.0, 20.0])
     apart = []

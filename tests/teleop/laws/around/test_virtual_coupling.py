@@ -49,6 +49,14 @@ def test_a_device_that_is_let_go_takes_the_tool_with_it() -> None:
     assert s.virtual_coupling_y == pytest.approx(0.3, abs=2e-3)
 
 
+def test_what_a_law_sums_over_the_axes_is_of_the_tool() -> None:
+    law, at = around("virtual_coupling", TDPA()), At(2e-3, 0.5, 0.0, 3.0, 2e-3, True, 0.0, 1e-3, 1e-3)
+    s, rx = law.master_start(at._replace(x=0.0, v=0.0))
+    over = law.master_sums(s, at, rx)
+    assert over.w == 0.0  # on which nothing was held yet, as 3 N were on the device
+    assert over.vv == law.master(s, at, rx, over)[2].virtual_coupling_u ** 2
+
+
 def test_what_the_device_has_to_have_is_told() -> None:
     scene = load_scene("hard_wall")
     own = scene.master.damping
