@@ -106,8 +106,7 @@ class Result:
             scene=scene.name, parameters=parameters(scene), seed=seed, mode=mode, status=ending.status,
             sentence=ending.sentence, ticks=ticks, dt=scene.dt_ns / 1e9, run_time=run_time,
             metrics=NamedValues("metric", finite(every)), packets=packets,
-            notes=tuple(notes), extra={**labels_of(scene).document(), **extra},
-            trace=NamedValues("column of this run", trace),
+            notes=tuple(notes), extra={**labels_of(scene).document(), **extra}, trace=trace,
         )
 
     def summary(self, command: Sequence[str] = ()) -> dict[str, Any]:

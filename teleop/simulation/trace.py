@@ -8,6 +8,7 @@ from functools import partial
 from math import nan
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
+from teleop.errors import NamedValues
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.structure import SENSED
 
@@ -51,8 +52,8 @@ class Columns(Mapping[str, Any]):
     `makers` has the function that makes each.
     """
 
-    def __init__(self, makers: dict[str, Callable[[], NDArray[Any]]]) -> None:
-        self.makers = makers
+    def __init__(self, makers: Mapping[str, Callable[[], NDArray[Any]]]) -> None:
+        self.makers = NamedValues("column of this run", makers)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.makers[name]()

@@ -6,7 +6,7 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from teleop.errors import Refused, number_of
+from teleop.errors import NamedValues, Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
@@ -103,7 +103,7 @@ def result_of(
         e: EndRecord(range(ran), rows[e], None if plan is None else plan.packets_until(ran), (forces or {}).get(e))
         for e, plan in (("m", bwd), ("s", fwd))[: 1 if scene.slave is None else 2]
     }
-    trace = dict(assemble(prepared, records))
+    trace = NamedValues("column of this run", assemble(prepared, records))
     trip = round_trip(None if plan is None else plan.played_at for plan in plans) if prepared.still else 0
     ending = judge(prepared, trace, ran, end, trip)
     # Of a run that ended early, only what was sent until then counts.
