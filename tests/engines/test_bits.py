@@ -47,7 +47,7 @@ a user's law, a clutch and gaps         x     x      x       f      x      x
 a user's law in two axes                f     f      f       f      f      f
 a clutch and a small slew limit         f     f      f       f             f
 a deadband                              x     x      f       f      f      -
-stages around a law                     f     x      f       f      f      f
+stages around a law                     f     x      x       f      f      f
 a coupling with branches                f     f      f       f      f      -
 axes of their own                       x     x      x       f      f      x
 eleven axes                             x     x      f                     f

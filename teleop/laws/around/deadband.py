@@ -65,8 +65,9 @@ class DeadbandWrapper:
             names = {"total": (), "wave": (field, f"A_{field}", f"P_{field}")}.get(of_kind, (field,))
             state = dict.fromkeys(names, "position" if of_kind == "position" else "sample") | state
         Last = flat_record("Last", {"begun": "sample", "sent": "sample", **state})
-        return StageEnd(bind(lambda _, _at: (Record(*(0.0,) * size), ()), name, Record=Last, size=len(Last._fields)),
-                        bind(send, name, Record=Last, rest=rest))
+        return StageEnd(
+            bind(lambda _, _at: (Record(*zeros), ()), name, Record=Last, zeros=(0.0,) * len(Last._fields)),
+            bind(send, name, Record=Last, rest=rest))
 
     @classmethod
     def claims_of(cls, claims: Any) -> Any:
@@ -120,6 +121,7 @@ def hold_wave(s: HeldWave, at: At, is_sent: float, q: float) -> tuple[float, Hel
 
 ask = hold_field = rest = Record = nothing
 size = 0
+zeros: tuple[float, ...] = ()  # made outside the function, for numba does not repeat a tuple
 FIELDS: dict[str, dict[str, Any]] = {
     "sample": {"ask": asks, "hold_field": hold, "Record": HeldSample, "size": 1},
     "wave": {"ask": wave_asks, "hold_field": hold_wave, "Record": HeldWave, "size": 3},
