@@ -129,9 +129,9 @@ def test_a_slave_in_c_serves_a_master_through_a_channel_that_loses_and_is_killed
     assert (left["packets"]["bwd"]["rejected"], counts["rejected"]) == ({}, 0)
     logs = [in_c.rows(name) for name in ("first.csv", "second.csv")]
     sent = sum(len(log["k"]) for log in logs)
-    assert 0.2 * sent < left["packets"]["bwd"]["received"] < sent, "5 % are lost, and a machine may be slow"
-    assert hears_what_it_said(tmp_path / "m", ("x", "v"), *logs) > 0.1 * sent
-    assert all(holds_what_the_law_says(log, -1.0) > 50 for log in logs)
+    assert 0.5 * sent < left["packets"]["bwd"]["received"] < sent, "5 % are lost, and a machine may be slow"
+    assert hears_what_it_said(tmp_path / "m", ("x", "v"), *logs) > 0.2 * sent
+    assert all(holds_what_the_law_says(log, -1.0) > 200 for log in logs)
     assert np.max(logs[0]["f"]) > 0.1
     assert logs[1]["k"][0] > let_go, "it takes up the grid of the master that went on"
     assert logs[1]["f"][0] == 0.0
@@ -157,8 +157,8 @@ def test_a_master_in_c_goes_on_with_a_slave_that_is_killed_and_started_again(
     assert set(left["packets"]["fwd"]["rejected"]) <= {"session"}, "what was still sent to the one that was killed"
     assert counts["met"] >= 2
     assert counts["rejected"] == 0
-    assert hears_what_it_said(tmp_path / "two", ("x", "v"), log) > 0.1 * np.count_nonzero(log["met"] == 2.0)
-    assert holds_what_the_law_says(log, 1.0) > 100
+    assert hears_what_it_said(tmp_path / "two", ("x", "v"), log) > 0.2 * np.count_nonzero(log["met"] == 2.0)
+    assert holds_what_the_law_says(log, 1.0) > 500
     assert np.max(log["f"]) > 0.5
     silent = (log["newest"] == log["newest"][log["met"] == 1.0][-1]) & (log["met"] == 1.0)
     assert log["f"][silent][-1] == 0.0, "a force without an answer goes to zero"
@@ -185,7 +185,7 @@ def test_waves_and_what_they_come_to_add_up_between_an_end_in_c_and_either_of_ou
     left, log = summary(tmp_path / "ours"), in_c.rows("c.csv")
     way = "bwd" if ours == "master" else "fwd"
     assert (left["packets"][way]["rejected"], counts["rejected"], counts["met"]) == ({}, 0, 1)
-    few = 0.2 * min(left["ticks"], len(log["k"]))  # either may be kept from half of its ticks by a busy machine
+    few = 0.5 * left["ticks"]
     assert min(counts["received"], left["packets"][way]["received"]) > few
     assert hears_what_it_said(tmp_path / "ours", (), log) > few
     sent, heard = told(tmp_path / "ours"), {"master": "u", "slave": "w"}[ours]

@@ -166,7 +166,7 @@ def test_a_sealed_session_goes_on_when_the_address_of_either_machine_changes(
         assert told[name][name]["associations"] == 1
         assert len(events(tmp_path, name, "met")) == 1, "the same session"
         assert len(events(tmp_path, name, "safe")) == 2, "once for each of the two moves"
-        assert told[name][name]["unsent"] < 600, "of half a second, within which it is followed, and a busy machine's"
+        assert told[name][name]["unsent"] < 100
 
 
 def test_a_cable_that_is_pulled_for_a_second_leaves_no_force_and_the_run_goes_on(
