@@ -53,7 +53,7 @@ class Columns(Mapping[str, Any]):
     """
 
     def __init__(self, makers: Mapping[str, Callable[[], NDArray[Any]]]) -> None:
-        self.makers = NamedValues("column of this run", makers)
+        self.makers: dict[str, Callable[[], NDArray[Any]]] = NamedValues("column of this run", makers)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.makers[name]()
