@@ -77,16 +77,20 @@ class PartKind:
     def make(self, node: ast.AST, text: str, form: str) -> Any:
         """Make the part of a call in `text`; `form` is an example of one. Raises `Refused`."""
         if isinstance(node, ast.Name):
-            made = find(self.word, self.group, self.places, node.id)
+            made = self.find(node.id)
             raise Refused(f"the {self.word} {node.id} needs brackets: {self._usage(node.id, made)}")
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
             part = ast.unparse(node)[:40]
             raise Refused(f"{text[:80]!r} has a part that is no {self.word}, {part!r}; {form}")
         name = node.func.id
-        if name in self.synonyms:
-            raise Refused(f"there is no {self.word} {name!r}; write for example {self.examples[self.synonyms[name]]}")
-        made = find(self.word, self.group, self.places, name)
+        made = self.find(name)
         return made(**self.arguments(name, made, node))
+
+    def find(self, name: str) -> Any:
+        """Load the part of this name. Raises `Refused` with what a synonym stands for, or the nearest names."""
+        if name in self.synonyms and name not in known_places(self.group, self.places):
+            raise Refused(f"there is no {self.word} {name!r}; write for example {self.examples[self.synonyms[name]]}")
+        return find(self.word, self.group, self.places, name)
 
     def read(self, text: str) -> Any:
         """Make the one part that `text` describes. Raises `Refused`.

@@ -86,7 +86,7 @@ def test_what_is_offered_for_an_effect_can_be_typed(recordings: Path) -> None:
         text = text.replace("runs/hard_wall-1", str(recordings / "live"))
         effect = parse_link(text)
         assert describe(effect).startswith(f"{name}(")
-        knobs = [knob.name for knob in fields(effect) if knob.init]  # type: ignore[arg-type]
+        knobs = [knob.name for knob in fields(effect) if knob.init]  # type: ignore[arg-type]  # all are dataclasses
         assert text.count(",") == max(len(knobs) - 1, 0), name
 
 
@@ -101,6 +101,15 @@ def test_an_effect_of_ones_own_is_shown_as_its_repr_and_one_of_a_plug_in_by_its_
     entry = importlib.metadata.EntryPoint("mine", f"{Own.__module__}:Own", "teleop.effects")
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: [entry])
     assert describe(Own(0.1)) == "mine(0.1)"
+
+
+def test_a_plug_ins_effect_named_as_a_synonym_was_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    for text in ("loss(0.02)", "loss"):
+        with pytest.raises(Refused, match=r"^there is no effect 'loss'; write for example bernoulli\(0\.02\)$"):
+            parse_link(text)
+    entry = importlib.metadata.EntryPoint("loss", "channel.duplicate:Duplicate", "teleop.effects")
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: [entry])
+    assert parse_link("loss(0.02)") == Duplicate(0.02)
 
 
 def test_only_what_a_text_names_is_loaded_and_dice_when_they_are_thrown() -> None:
