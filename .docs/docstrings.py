@@ -10,7 +10,7 @@ from griffe import Docstring, Extension, Object
 EXAMPLE = re.compile(r"(?:^[ ]*>>>.*\n?(?:^[ ]*\S.*\n?)*)+", re.MULTILINE)
 
 
-class Docstrings(Extension):  # type: ignore[misc]
+class Docstrings(Extension):
     """Fence examples, from >>> to the next empty line; take the comment behind a field for its docstring."""
 
     def on_object(self, *, obj: Object, **_: Any) -> None:

@@ -54,7 +54,8 @@ class Site:
     def __init__(self, **how: Any) -> None:
         self.near, self.far, self.ports = NoWire(None), NoWire(SLAVE), list[NoWire]()
         wires: Any = self.near, self.far
-        self.router = Router(SCENE, 0, *wires, port=self._port, close=NoWire.close, secret=bytes(32),  # type: ignore[arg-type]
+        self.router = Router(SCENE, 0, *wires, port=self._port, close=NoWire.close,  # type: ignore[arg-type]  # no wires
+                             secret=bytes(32),
                              **how)
         self.now = 10**12  # ns, of a clock that has been running
         self.out: tuple[list[tuple[Any, bytes]], list[tuple[Any, bytes]]] = ([], [])  # to the master, to the slave

@@ -206,7 +206,7 @@ def test_joining_is_flat_and_associative() -> None:
     assert ((a | b) | (c | a)).effects == (a, b, c, a)
     assert (a | b) != (b | a)
     assert len({a | b, a | b, b | a}) == 2
-    for wrong in (lambda: a | 3, lambda: (a | b) | None):  # type: ignore[operator]
+    for wrong in (lambda: a | 3, lambda: (a | b) | None):  # type: ignore[operator]  # refused
         with pytest.raises(TypeError):
             wrong()
 
@@ -215,7 +215,7 @@ def test_effects_are_values() -> None:
     assert Delay(1) == Delay(1.0)
     assert repr(Delay(1)) == "Delay(delay=1.0)"
     with pytest.raises(AttributeError):
-        Delay(1.0).delay = 2.0  # type: ignore[misc]
+        Delay(1.0).delay = 2.0  # type: ignore[misc]  # frozen
 
 
 def test_in_order_behind_a_queue_that_sees_disorder_is_refused(recordings: Path) -> None:

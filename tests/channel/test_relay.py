@@ -149,7 +149,7 @@ class Noted(Effect):
     def __init__(self, later: float = 0.0) -> None:
         self.later, self.entered = later, list[int]()
         if later:
-            self.order = "any"  # type: ignore[misc]
+            self.order = "any"  # type: ignore[misc]  # frozen: it is not its own
 
     def begin(self, rng: Rng) -> None:
         """No state."""

@@ -331,7 +331,7 @@ def test_between_ends_of_this_machine_nothing_is_marked() -> None:
 @pytest.mark.live
 @pytest.mark.parametrize("insecure", [pytest.param(False, marks=pytest.mark.full), True])
 def test_a_channel_on_all_addresses_is_refused_to_ends_without_keys_or_said_at_all_three(
-    insecure: bool, command: Callable[..., Any], tmp_path: Path  # noqa: F811
+    insecure: bool, command: Callable[..., Any], tmp_path: Path  # noqa: F811 (the fixture)
 ) -> None:
     scene = ["hard_wall", "--set", "duration=0.5", "--json"]
     slave = command("slave", *scene, "--listen", "127.0.0.1:0", "--out", str(tmp_path / "s"))

@@ -14,11 +14,12 @@ from scipy.optimize import brentq
 from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
 from teleop.errors import Refused
 from teleop.laws.wave import Wave
-from teleop.physics.implicit import Effort, Resistance, implicit_plant
+from teleop.physics.implicit import Resistance, implicit_plant
 from teleop.physics.plant import MassDamper, Plant, move_free
 from teleop.physics.sdirk import HUNT_CROSSLEY
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
+from tests.teleop.physics.motions import run
 
 BODY = MassDamper(mass=0.5, damping=1.0)
 DT = 1e-3
@@ -139,15 +140,6 @@ def beside(mass: float, dt: float, tol: float = 1e-9, **knobs: float) -> Plant:
     return implicit_plant(MassDamper(mass=mass), dt, resistance=HuntCrossley(**knobs).resistance(), tol=tol)
 
 
-def motion(plant: Plant, x: float, v: float, forces: list[float]) -> tuple[list[tuple[float, float]], Effort]:
-    """The states at the ticks, and the inner state at the end."""
-    z, states = plant.start, [(x, v)]
-    for f in forces:
-        x, v, _, z = plant.move(plant.c, x, v, f, z)
-        states.append((x, v))
-    return states, Effort(*z)
-
-
 def test_a_hertz_impact_has_its_closed_depth_and_time() -> None:
     # m v^2/2 = (2/5) k depth^2.5; half the contact time is depth/v times the integral of 1/sqrt(1 - y^2.5).
     m, k, v = 0.1, 1e6, 0.5
@@ -156,7 +148,7 @@ def test_a_hertz_impact_has_its_closed_depth_and_time() -> None:
     assert 2.0 * half == pytest.approx(2.943 * depth / v, rel=2e-4)
     for parts in (1, 7):
         plant = beside(m, half / parts, k=k)
-        states, z = motion(plant, 0.0, v, [0.0] * (2 * parts))
+        states, z = run(plant, 0.0, v, [0.0] * (2 * parts))
         x, u = states[parts]
         assert x == pytest.approx(depth, abs=3.0 * z.total)
         assert u == pytest.approx(0.0, abs=3.0 * z.total * parts / half)
@@ -176,7 +168,7 @@ def test_a_rebound_is_as_fast_as_the_first_integral_of_hunt_crossley_says(n: flo
 
     e = brentq(lost, 0.1, min(1.0, (1.0 - 1e-12) / (lam * v)), xtol=1e-15)
     plant = beside(m, DT, k=k, n=n, lam=lam)
-    states, z = motion(plant, -0.35 * DT * v, v, [0.0] * 100)
+    states, z = run(plant, -0.35 * DT * v, v, [0.0] * 100)
     assert states[-1][0] < 0.0 < max(x for x, _ in states)
     assert states[-1][1] == pytest.approx(-e * v, abs=3.0 * z.total / DT)
     assert z.total < 1e-7
@@ -187,7 +179,7 @@ def test_a_rebound_is_as_fast_as_the_first_integral_of_hunt_crossley_says(n: flo
 def test_the_peak_force_of_an_impact_is_that_of_an_independent_integration() -> None:
     m, k, lam, push, v, dt = 0.2, 1e6, 0.5, 1.0, 0.4, 1e-4
     plant = beside(m, dt, 1e-12, k=k, lam=lam)
-    states, z = motion(plant, 0.0, v, [push] * 100)
+    states, z = run(plant, 0.0, v, [push] * 100)
     felt = [plant.force(plant.c, x, u, z) for x, u in states]
 
     def rate(_: float, y: Any) -> list[float]:
@@ -214,7 +206,7 @@ def test_the_peak_force_of_an_impact_is_that_of_an_independent_integration() -> 
 def test_a_ball_dropped_on_an_undamped_spring_comes_back_as_high_for_long() -> None:
     m, k, f, h = 0.1, 1e6, 1.0, 2e-3
     plant = beside(m, DT, 1e-11, k=k)
-    states, z = motion(plant, -h, 0.0, [f] * 600)
+    states, z = run(plant, -h, 0.0, [f] * 600)
     energy = [0.5 * m * v * v - f * x + 0.4 * k * max(x, 0.0)**2.5 for x, v in states]
     fast = math.sqrt(2.0 * f * h / m)
     assert max(abs(e - energy[0]) for e in energy) <= 3.0 * z.total * (m * fast / DT + 50.0)

@@ -64,7 +64,10 @@ LONGEST_WAY = 10.0  # s: nobody holds a handle for longer; more is most likely a
 
 
 def one_way(scene: Scene, direction: int, seed: int) -> OneWay:
-    """Delay and loss of direction 0 (forward) or 1 in a run of `scene`. Raises `Refused` if nothing arrives."""
+    """Delay and loss of direction 0 (forward) or 1 in a run of `scene`.
+
+    Raises `Refused` if nothing arrives, or if it takes more than `LONGEST_WAY` in the median.
+    """
     if scene.link is None:
         return OneWay(scene.dt, scene.dt, scene.dt, scene.dt, 0.0)
     arrivals = scene.link.arrivals(direction, scene.ticks, scene.dt_ns, seed, scene.wire_size)

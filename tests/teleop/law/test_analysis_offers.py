@@ -20,6 +20,7 @@ from teleop.analysis.zwidth.assess import levers
 from teleop.analysis.zwidth.impedance import curves
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.law.analysis_offers import coupling_of, described, instead, linear_law
+from tests.fakes import OneSpring, law_of
 from tests.teleop.conftest import Answer
 
 Typed = Callable[..., Answer]
@@ -213,24 +214,14 @@ class TestALinearLawInItsPlace:
             "Clipped is not linear at the master")
 
     def test_of_a_one_port_law_is_taken_by_its_loop(self) -> None:
-        @dataclass(frozen=True, kw_only=True)
-        class Hardening:
-            k: float = 400.0
-            at: float = 0.03
-            claims: ClassVar[Mapping[str, str]] = {}
+        def force(self: Any, s: tuple[()], at: At) -> tuple[float, tuple[()]]:
+            p = max(at.x - self.wall, 0.0)
+            return self.K * p * (1.0 + p), s
 
-            def start(self, at: At) -> tuple[()]:
-                return ()
-
-            def force(self, s: tuple[()], at: At) -> tuple[float, tuple[()]]:
-                p = max(at.x - self.at, 0.0)
-                return self.k * p * (1.0 + p), s
-
-            def linear(self) -> Any:
-                return load_scene("virtual_wall", **{"law.K": self.k}).law
-
+        hardening = law_of(OneSpring, name="Hardening", knobs=[("wall", float, 0.03)], force=force,
+                           linear=lambda self: load_scene("virtual_wall", **{"law.K": self.K}).law)
         scene = load_scene("virtual_wall", **{"law.K": 400.0})
-        mine = replace(scene, law=Hardening())
+        mine = replace(scene, law=hardening())
         assert stability(mine) == stability(scene)
         assert one_port(mine).needed == one_port(scene).needed
         assert instead(mine.law).startswith("Hardening is not linear: virtual_wall(K=400")
