@@ -186,8 +186,8 @@ class Allowance:
 
     @property
     def begins(self) -> bool:
-        """True at the first message without room in a second, if the second before had room for all."""
-        return self._count == MOST + 1 and self._beyond == 0
+        """True at the first message without room: a page is warned once, however long it goes on."""
+        return self.dropped == 1
 
     @property
     def floods(self) -> bool:

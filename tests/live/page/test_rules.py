@@ -52,11 +52,12 @@ def test_what_a_page_says_beyond_its_share_is_dropped_told_once_and_after_some_s
     assert told == 1
     assert allowed.dropped == (SECONDS + 1) * MOST
     assert allowed.floods
-    quiet = Allowance()
+    quiet, warnings = Allowance(), 0
     for second in (0, 1, 2, 3, 4, 6):
         for i in range(2 * MOST):
-            quiet.takes(second + i / 1000)
+            warnings += not quiet.takes(second + i / 1000) and quiet.begins
     assert not quiet.floods
+    assert warnings == 1, "a machine that stalled for a second warned twice"
 
 
 def test_garbage_is_told_once_of_each_kind_and_counted() -> None:
