@@ -23,7 +23,7 @@ out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 words = [b"", b"GET / HTTP/1.1", b"BT\\x01\\x00" + bytes(96), bytes(1200)]
 port, seconds = map(float, input().split())  # it is up before the run is
 sent, end = 0, time.monotonic() + seconds
-while time.monotonic() < end:
+while time.monotonic() < end or sent <= 5000:  # a busy machine throws slowly
     for word in words * 8:
         out.sendto(word, ("127.0.0.1", int(port)))
     sent += 32

@@ -80,7 +80,7 @@ def marked(both: Any, devices: dict[str, Felt]) -> Any:
 
 def gently(scene: Any, device: Felt) -> None:
     """From a force that was there when the run was over down to zero, in steps that are allowed."""
-    force, when = device.forces[0][device.over - 1 :], np.array(device.when[device.over - 1 :])
+    force, when = device.forces[0][device.over - 1 :], np.array(device.when[device.over - 2 :])
     least = 0.0 if scene.cap is None else SLEW * 1e-3  # without a slew limit a wave that is missing takes more
     assert abs(force[0]) > least, "in one step it would be more than is allowed"
     assert force[-1] == 0.0
@@ -88,7 +88,7 @@ def gently(scene: Any, device: Felt) -> None:
     if scene.cap is not None:
         assert steps.max() <= SLEW * 1e-3 + 1e-9
     else:  # of the ramp's 50 ms, with a tick to spare: that a force was held late does not make the next one later
-        late = np.diff(when, prepend=when[0]) / 1e6
+        late = np.diff(when) / 1e6
         assert (steps <= abs(force[0]) / 50.0 * (2.0 + late[1:] + late[:-1])).all()
 
 
