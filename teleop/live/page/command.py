@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import subprocess
 import sys
 import time
@@ -25,7 +26,7 @@ from teleop.terminal.answer import Answer, scene_head
 from teleop.terminal.options import knobs_from
 from teleop.terminal.run import stem
 
-PAGE = Path(__file__).with_name("page.html")
+FOLDER = Path(__file__).parent
 NEEDS = ("teleop demo --page needs websockets, which is not installed; type pip install 'bilateral-teleop[page]', or "
          "pip install websockets")
 LAST_PORT = 65535
@@ -45,7 +46,7 @@ def command(args: Namespace) -> Answer:
     ticks_of(controls.first, args.rate, lockstep=False, spin=args.spin)
     ticking = ["--spin"] * args.spin + ([] if args.rate is None else ["--rate", repr(args.rate)])
     start = Start(args.scene, args.seed, args.realtime, ticking)
-    requests = Requests(PAGE.read_bytes(), token := token_urlsafe(16))
+    requests = Requests(page_bytes(), token := token_urlsafe(16))
     with output.live(), Interrupt() as interrupt, fresh_folder(args.out, f"{stem(args.scene)}-page") as claimed:
         folder = claimed.path
         parts = PageParts(folder, {"scene": args.scene, "seed": args.seed, "command": args.typed})
@@ -72,6 +73,12 @@ def command(args: Namespace) -> Answer:
     head = scene_head(controls.first, "page", sentence=sentence, seed=args.seed, command=args.typed)
     text = "\n".join([*lines, f"`teleop report {folder}` shows {'it' if len(lines) == 1 else 'them'}"])
     return Answer(text, {**head, "parts": len(parts)}).kept_in(folder)
+
+
+def page_bytes() -> bytes:
+    """Read `page.html` with its style and its scripts, each in the place of the name that stands for it there."""
+    page = (FOLDER / "page.html").read_text()
+    return re.sub(r"\{\{([a-z]+\.(?:css|js))\}\}", lambda name: (FOLDER / name[1]).read_text(), page).encode()
 
 
 def _check(args: Namespace) -> None:

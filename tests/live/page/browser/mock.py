@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
-from teleop.live.page.command import PAGE
+from teleop.live.page.command import page_bytes
 from teleop.live.page.server import Requests
 
 LAWS = {
@@ -100,7 +100,7 @@ class Mock:
         self.silent = False  # it stands still, with its sockets open
         while self.world.t < ran:
             self.past.append(self.world.rows())
-        self.requests = Requests(PAGE.read_bytes(), "mock")  # as the page's own server answers
+        self.requests = Requests(page_bytes(), "mock")  # as the page's own server answers
         self.server: Server = serve(self._client, "127.0.0.1", port, process_request=self._request,
                                     open_timeout=2, close_timeout=0.2)
         self.port = self.server.socket.getsockname()[1]

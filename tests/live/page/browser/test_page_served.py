@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from teleop.live.page.command import PAGE
+from teleop.live.page.command import page_bytes
 from tests.browser import Page
 from tests.live.page.conftest import TOKEN, Served
 
@@ -34,5 +34,5 @@ def test_a_drag_reaches_the_master_and_a_law_is_switched_while_it_is_held(
         await asyncio.to_thread(look, page)
         await page.until(lambda: page.orders("master")[-1] == {"order": "hand", "to": None})
 
-    index = served(scenario, html=PAGE.read_bytes()).index()
+    index = served(scenario, html=page_bytes()).index()
     assert [part["knobs"].get("law", "wave") for part in index["parts"]] == ["wave", "wave_filter"]

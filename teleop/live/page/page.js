@@ -1,0 +1,343 @@
+"use strict";
+const $ = id => document.getElementById(id), stage = $("stage"), g = stage.getContext("2d");
+const SLOW = 8, SHOWN = 10, LANE = 7, EVERY = .08;  // packets' slowness; s of strips; px between the ways; s between packets drawn
+const dark = matchMedia("(prefers-color-scheme: dark)"), still = matchMedia("(prefers-reduced-motion: reduce)");
+let hello = null, row = null, rows = [], lost = null, status = {}, socket = null, tries = 0, was = false, dirty = true, turned = false;
+let heardAt = 0, lookedAt = 0, mute = false;  // when the server said something, when that was looked at; it stands still
+let C = {}, W = 0, H = 0, R = 1, view = {c: 0, span: .12}, dots = [], owed = 0, shown = {m: 0, s: 0}, frames = 0;
+const num = v => Array.isArray(v) ? v[0] : v, clip = (v, lo, hi) => Math.min(hi, Math.max(lo, v));
+const fixed = (v, n) => (Math.abs(v) < .5 * 10 ** -n ? 0 : v).toFixed(n).replace("-", "\u2212");
+const ms = s => s == null ? "\u2013" : fixed(s * 1e3, s > 0 && s < .00995 ? 1 : 0) + " ms", pc = v => v == null ? "\u2013" : fixed(v * 100, v < .0995 && v > 0 ? 1 : 0) + " %";
+
+function colours() {
+  const css = getComputedStyle(document.documentElement);
+  for (const name of ["card", "ink", "soft", "line", "rail", "master", "slave", "wall", "bad"]) C[name] = css.getPropertyValue("--" + name).trim();
+  for (const one of strips) one.whole = true;
+  dirty = true;
+}
+function say(level, text) {
+  const at = $("said");
+  at.className = level;
+  at.textContent = (level === "info" ? "" : "\u26A0 ") + text;
+}
+function sent(message) {
+  if (!socket || socket.readyState !== 1) return false;
+  socket.send(JSON.stringify(message));
+  return true;
+}
+
+/* -- the server --------------------------------------------------------------------------------------------------- */
+const heard = {
+  hello(m) {
+    const first = !hello || hello.scene !== m.scene;
+    turned = !!hello;
+    axes(m);
+    lastTurn = performance.now();
+    hello = m;
+    view = {c: m.wall == null ? 0 : .08 * Math.sign(m.wall) * m.span, span: m.span};
+    document.title = m.scene + " \u00b7 teleop";
+    $("scene").textContent = m.scene;
+    $("link").textContent = m.link || "";
+    $("third").textContent = m.axes > 2 ? "Wheel, Page Up and Page Down move the third axis. " : "";
+    if (m.wall == null) $("invite").firstChild.textContent = "Drag the handle";
+    $("energy").textContent = m.energy === "ports" ? "Energy taken up at both ends" : "Energy stored in the link";
+    laws(m);
+    sliders(m, first);
+    for (const one of strips) one.whole = true;
+    dirty = true;
+  },
+  rows(m) { take(m); },
+  past(m) {
+    rows = [];
+    m.rows.forEach(take);
+    scaled = 0;
+    for (const one of strips) one.whole = true;
+  },
+  status(m) {
+    status = m;
+    lost = m.lost;
+    $("delay").textContent = "delay " + ms(m.delay);
+    $("jitter").textContent = "jitter " + ms(m.jitter);
+    $("loss").textContent = "loss " + pc(m.loss);
+    for (const [e, name] of [["m", "master"], ["s", "slave"]]) {
+      const one = m[e] || {}, at = $("g" + e);
+      at.className = one.cause ? "safe" : "";
+      at.textContent = one.gain == null ? "" : one.cause ? `${name} SAFE, ${pc(one.gain)} of its force: ${one.cause}` : `${name}\u2019s force ${pc(one.gain)}`;
+    }
+    connection();
+    pressed(m.clutch || clutch);
+    dirty = true;
+  },
+  said(m) { say(m.level, m.text); },
+};
+let axis = 0;  // of more than three axes one is shown and dragged, as if there were no other
+const metre = () => hello && hello.units ? hello.units[axis] : "m", newton = () => metre() === "m" ? " N" : " N m";
+function axes(m) {
+  const at = $("axis"), many = m.names && m.names.length > 3;
+  at.hidden = !many;
+  if (!many) { axis = 0; return; }
+  if (at.length !== m.names.length) { at.replaceChildren(...m.names.map((name, i) => new Option(name, i))); axis = 0; }
+  Object.assign(m, {axes: 1, wall: m.walls[axis], f_max: m.caps[axis], span: m.spans[axis]});
+}
+function along(r) {
+  if (!r || $("axis").hidden) return r;
+  r.all = r.all || {...r};
+  for (const key in r.all) if (Array.isArray(r.all[key]) && r.all[key].length === hello.names.length) r[key] = [r.all[key][axis]];
+  return r;
+}
+const ofAll = to => row && row.all && to ? (row.all.hand || row.all.xm).map((x, i) => i === axis ? to[0] : x) : to;
+$("axis").onchange = event => {
+  axis = +event.target.value;
+  axes(hello);
+  rows.forEach(along);
+  drag = null;
+  if (target) target = [(row.all.hand || row.all.xm)[axis]];
+  view = {c: 0, span: hello.span};
+  for (const one of strips) one.whole = dirty = true;
+};
+function take(r) {
+  along(r);
+  const last = rows[rows.length - 1];
+  if (last && r.t < last.t - 1) { rows = []; for (const one of strips) one.whole = true; }
+  else if (last && r.t <= last.t) rows.pop();  // no tick since
+  if (turned) { r.mark = true; turned = false; }
+  rows.push(r);
+  if (rows.length > 1600) rows.splice(0, 600);
+  row = r;
+  const far = Math.max(...[r.xm[0], r.xs[0], r.hand ? r.hand[0] : 0].map(x => Math.abs(x - view.c)));
+  if (far > .5 * view.span && far < 10) { while (far > .5 * view.span) view.span *= 1.25; for (const one of strips) one.whole = true; }
+  dirty = true;
+}
+function connection(text) {
+  const open = socket && socket.readyState === 1;
+  $("conn").className = open && !lost && !mute ? "" : "lost";
+  $("conn").textContent = text || (mute ? "no answer" : lost ? lost + " is lost" : open ? "connected" : "connecting");
+}
+function listen() {  // a server that stands still, or a cut way to it, closes no socket: it says something four times a second, or is missed
+  const now = performance.now();
+  if (now - lookedAt > 1500) heardAt = now;  // it is this page that was asleep
+  lookedAt = now;
+  const silent = !!hello && !!socket && socket.readyState === 1 && now - heardAt > 2e3;  // a first greeting may take long
+  if (silent === mute) return;
+  mute = silent;
+  connection();
+  dirty = true;
+  if (mute) say("error", "Nothing comes from the server: it stands still, or the way to it is cut. What is shown here is what came last.");
+  else say("info", "The server answers again.");
+}
+function connect() {
+  const url = (location.protocol === "https:" ? "wss://" : "ws://") + location.host + "/ws" + location.search;
+  socket = new WebSocket(url);
+  socket.onopen = () => {
+    tries = 0;
+    heardAt = performance.now();
+    lost = null;
+    connection();
+    if (was) say("info", "The server is back; this page shows the run again.");
+    was = true;
+  };
+  socket.onmessage = event => {
+    heardAt = performance.now();
+    const m = JSON.parse(event.data);
+    if (heard[m.type]) heard[m.type](m);
+  };
+  socket.onclose = event => {
+    const wait = Math.min(8, .5 * 2 ** tries++);
+    drag = null; target = null; clutch = mute = false; pressed(false);
+    connection(`not connected, next try in ${wait} s`);
+    if (was || tries === 2 || event.reason) say("error", event.reason || "The server does not answer: it has ended, or the way to it is cut. " +
+      "Start it again with `teleop demo --page`; this page tries again by itself.");
+    dirty = true;
+    setTimeout(connect, wait * 1e3);
+  };
+}
+
+/* -- law, link, buttons ------------------------------------------------------------------------------------------- */
+function laws(m) {
+  const at = $("law"), all = m.laws.some(law => law.name === m.law) ? m.laws : [{name: m.law, says: ""}, ...m.laws];
+  const names = all.map(law => law.name).join("\n");
+  if (at.dataset.names !== names) {
+    at.replaceChildren(...all.map(law => new Option(law.name, law.name)));
+    at.dataset.names = names;
+  }
+  at.value = m.law;
+  $("says").textContent = [all.find(law => law.name === m.law).says, m.gains, ...m.notes].filter(each => each).join(". ");
+}
+$("law").onchange = event => { if (!sent({type: "turn", law: event.target.value})) event.target.value = hello ? hello.law : ""; };
+
+const scale = one => one.log
+  ? {of: v => 1e3 * Math.log(v / one.low) / Math.log(one.high / one.low), at: p => one.low * (one.high / one.low) ** (p / 1e3)}
+  : {of: v => 1e3 * (v - one.low) / (one.high - one.low), at: p => one.low + (one.high - one.low) * p / 1e3};
+const tidy = {s: v => Math.round(v * 1e3) / 1e3, "": v => Math.round(v * 200) / 200};
+function shownAs(one, v) {
+  if (one.unit === "s") return ms(v);
+  if (one.name === "loss") return pc(v);
+  const k = v >= 1e3 ? 1e3 : 1;
+  return `${+(v / k).toPrecision(2)} ${k > 1 ? "k" : ""}${one.unit}`;
+}
+function sliders(m, first) {
+  if (first) $("sliders").replaceChildren();
+  for (const one of m.sliders) {
+    let input = $("k_" + one.name);
+    if (!input) {
+      const div = document.createElement("div"), label = document.createElement("label"), out = document.createElement("output");
+      input = Object.assign(document.createElement("input"), {type: "range", id: "k_" + one.name, min: 0, max: 1000, step: 5});
+      label.htmlFor = input.id;
+      out.className = "num";
+      label.append(one.label[0].toUpperCase() + one.label.slice(1), out);
+      div.append(label, input);
+      $("sliders").append(div);
+      let timer = 0;
+      const value = () => {
+        const v = scale(input.one).at(+input.value);
+        return clip(input.one.name === "loss" ? tidy[""](v) : (tidy[input.one.unit] || (x => +x.toPrecision(2)))(v), input.one.low, input.one.high);
+      };
+      input.show = v => { out.textContent = shownAs(input.one, v); input.setAttribute("aria-valuetext", out.textContent); };
+      input.oninput = () => { input.busy = true; input.show(value()); };
+      // A turn is a new session, so one is asked for when the slider rests, not at each step.
+      input.onchange = () => { clearTimeout(timer); timer = setTimeout(() => { input.busy = false; sent({type: "turn", [input.one.name]: value()}); }, 250); };
+    }
+    input.one = one;
+    if (!input.busy) { input.value = scale(one).of(one.value); input.show(one.value); }
+  }
+}
+let clutch = false;
+function pressed(open) { $("clutch").setAttribute("aria-pressed", String(!!open)); }
+function setClutch(open) {
+  if (open === clutch) return;
+  if (sent({type: "clutch", open}) || !open) { clutch = open; pressed(open); }
+}
+$("clutch").onpointerdown = event => { $("clutch").setPointerCapture(event.pointerId); setClutch(true); };
+$("clutch").onpointerup = $("clutch").onpointercancel = $("clutch").onlostpointercapture = () => setClutch(false);
+$("clutch").oncontextmenu = event => event.preventDefault();
+$("again").onclick = again;
+$("go").onclick = letGo;
+
+/* -- the hand ----------------------------------------------------------------------------------------------------- */
+let drag = null, target = null, due = false, lastSent = 0, lastMoved = 0, lastTurn = 0, pad = false;
+function base() {  // where the hand's reference is: what was asked for just now, or what the server shows
+  return target || (row ? row.hand || row.xm : null);
+}
+const far = to => row && (!row.hand || Math.hypot(...to.map((x, i) => x - row.hand[i])) > .03 * view.span);
+function steer(to) {
+  const reach = .6 * view.span;
+  target = to.map((x, i) => clip(x, (i ? 0 : view.c) - reach, (i ? 0 : view.c) + reach));
+  due = true;
+  lastMoved = performance.now();
+  $("invite").hidden = true;
+}
+function flush(now) {  // at most 60 a second; at least 4 as long as this page holds the hand, so that a page that is gone is missed
+  if (target && !drag && far(target) && now - Math.max(lastMoved, lastTurn) > 5e3) target = null;  // another page has the hand
+  if (target && hello && ((due && now - lastSent > 16.6) || now - lastSent > 240)) {
+    if (sent({type: "hand", to: ofAll(target)})) { due = false; lastSent = now; }
+  }
+}
+function again() {
+  letGo();
+  sent({type: "again"});
+}
+function letGo() {
+  drag = null;
+  target = null;
+  due = false;
+  stage.classList.remove("drag");
+  sent({type: "hand", to: null});
+}
+stage.onpointerdown = event => {
+  if (drag || !row || event.button > 0) return;
+  stage.setPointerCapture(event.pointerId);
+  drag = {id: event.pointerId, x: event.clientX, y: event.clientY, from: base().slice(), scale: place().scale};
+  stage.classList.add("drag");
+};
+stage.onpointermove = event => {
+  if (!drag || event.pointerId !== drag.id) return;
+  const by = [(event.clientX - drag.x) / drag.scale, (drag.y - event.clientY) / drag.scale];
+  if (drag.moved || Math.hypot(event.clientX - drag.x, event.clientY - drag.y) > 2) {
+    drag.moved = true;
+    steer(drag.from.map((x, i) => i < 2 ? x + by[i] : x));
+  }
+};
+stage.onpointerup = stage.onpointercancel = stage.onlostpointercapture = event => {
+  if (!drag || event.pointerId !== drag.id) return;
+  drag = null;
+  stage.classList.remove("drag");
+};
+stage.ondblclick = letGo;  // a pointer that goes up alone leaves the reference where it is, so that a pressed wall stays felt
+stage.addEventListener("wheel", event => {
+  if (!hello || hello.axes < 3 || !base()) return;
+  event.preventDefault();
+  third(-event.deltaY * view.span / 3e3);
+}, {passive: false});
+function third(by) {
+  const to = base().slice();
+  to[2] += by;
+  steer(to);
+  if (drag) drag.from[2] = to[2];
+}
+const ARROWS = {ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowDown: [1, -1], ArrowUp: [1, 1], PageDown: [2, -1], PageUp: [2, 1]};
+onkeydown = event => {
+  const at = event.target, free = at === stage || at === document.body;
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === "Escape") return letGo();
+  if (at.tagName === "SELECT") return;
+  if (event.key === "c" || event.key === "C" || (at.id === "clutch" && (event.key === " " || event.key === "Enter"))) {
+    event.preventDefault();
+    if (!event.repeat) setClutch(true);
+  } else if ((event.key === "r" || event.key === "R") && !event.repeat) again();
+  else if (free && ARROWS[event.key] && base()) {
+    const [axis, way] = ARROWS[event.key], to = base().slice();
+    if (axis >= to.length) return;
+    event.preventDefault();
+    to[axis] += way * view.span / (event.shiftKey ? 600 : 60);
+    steer(to);
+  }
+};
+onkeyup = event => { if ("cC Enter".includes(event.key)) setClutch(false); };
+onblur = () => setClutch(false);
+document.onvisibilitychange = () => { if (document.hidden) setClutch(false); };
+ongamepadconnected = () => { pad = true; say("info", "A gamepad is connected: its stick moves the hand, its first button is the clutch."); };
+let padClutch = false;
+function gamepad(dt) {
+  for (const one of navigator.getGamepads()) {
+    if (!one || !row) continue;
+    const stick = [one.axes[0], -one.axes[1], -(one.axes[3] || 0)].map(v => Math.abs(v) < .15 ? 0 : v);
+    const to = base().slice();
+    if (to.some((_, i) => stick[i])) steer(to.map((x, i) => x + (stick[i] || 0) * dt * view.span));
+    const down = one.buttons.length > 0 && one.buttons[0].pressed;
+    if (down !== padClutch) setClutch(padClutch = down);
+    return;
+  }
+}
+
+/* -- frames ------------------------------------------------------------------------------------------------------- */
+let before = 0, scaled = 0, stripped = 0;
+function frame(now) {
+  const dt = clip((now - before) / 1e3, 0, .1);
+  before = now;
+  frames++;
+  if (pad) gamepad(dt);
+  flush(now);
+  if (dirty || dots.length) { draw(dt); }
+  if (now - scaled > 250) { rescale(); scaled = now; }
+  if ((dirty || strips.some(one => one.whole)) && (!still.matches || now - stripped > 250)) { strips.forEach(drawStrip); stripped = now; }
+  dirty = false;
+  requestAnimationFrame(frame);
+}
+function size() {
+  R = Math.min(2, devicePixelRatio || 1);
+  for (const canvas of [stage, ...strips.map(one => one.canvas)]) {
+    const box = canvas.getBoundingClientRect(), w = Math.max(1, Math.round(box.width * R)), h = Math.max(1, Math.round(box.height * R));
+    if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
+    if (canvas === stage) { W = box.width; H = box.height; }
+  }
+  for (const one of strips) one.whole = true;
+  dirty = true;
+}
+new ResizeObserver(size).observe(document.querySelector("main"));
+dark.onchange = colours;
+colours();
+size();
+setInterval(() => { flush(performance.now()); listen(); }, 200);
+if ("WebSocket" in window) connect();
+else say("error", "This browser has no WebSocket, through which the page hears the robot: open it in a current Firefox, Chrome, Edge or Safari.");
+requestAnimationFrame(frame);
