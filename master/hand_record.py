@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 FILE = "hand.bin"
 PAGE = "page.json"
 VERSION = 1
-ANEW = ("again", "lost")  # why a part began whose bodies were not where those of the part before were
+ANEW = ("again", "lost", "idle")  # why a part began whose bodies were not where those of the part before were
 EVERY = 16  # rows between two writes: a live page follows them
 LONGEST = 1 << 10  # bytes of a header
 FARTHEST = 1e6  # m, of a place: with more a scene has diverged
@@ -97,9 +97,9 @@ class HandRecording:
 
     `path` is the folder of a live page, of one of its parts, or of its master. The ticks of a page go on over its
     parts, where two have the same tick the later one stands, and only what came since the page was last started again,
-    or an end was, is taken: before it the bodies were elsewhere. The first tick that is recorded is tick 0; after the
-    last the hand stays. A file whose last row is cut off, as a killed process leaves it, is taken up to there, with a
-    warning.
+    or an end was, or it wrote nothing for a while, is taken: before it the bodies were elsewhere. The first tick that
+    is recorded is tick 0; after the last the hand stays. A file whose last row is cut off, as a killed process leaves
+    it, is taken up to there, with a warning.
 
     `axes`, `dt_ns` and `ticks` say what it was recorded in, and how many ticks it takes; a scene needs the same axes
     and dt. Nothing in the folder is run and no link in it is followed. Raises `Refused` for what holds no such record.

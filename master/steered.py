@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, exp, expm1, hypot, sqrt
+from math import ceil, exp, expm1, hypot, pi, sin, sqrt
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ BANDWIDTH = 30.0  # rad/s: the reference follows a slow motion of the target by 
 MOST_SPEED = 1.0  # m/s
 WORKSPACE = 10.0  # m from 0, in each axis
 WHOLE_S = 60.0  # s of a scene's own motion that cannot be sampled as it goes
+SWING = 0.5  # Hz, of a hand that swings by itself
 ALIGNING = 60.0  # rad/s of an alignment, in which the hand damps the handle besides, to ...
 RATIO = 0.8  # ... this damping ratio of the masses on its spring
 DRIFTS, BEHIND = 0.1, 0.1  # m/s, s: of a place that moves on
@@ -81,6 +82,7 @@ class SteeredMaster(SimulatedMaster):
         self._own_motion = True  # the reference is the scene's, and no filter's
         self._w = [0.0] * scene.axes  # the speed of the filtered reference, m/s
         self._target: tuple[float, ...] | None = None  # of `steer`
+        self._swing: tuple[float, ...] | None = None  # amplitudes about that target, m
         self._steered = False
         self._place: tuple[float, ...] | None = None  # of `align`
         self._align_k = 0  # the tick of that
@@ -90,13 +92,15 @@ class SteeredMaster(SimulatedMaster):
         self.whole = max(1, round(WHOLE_S * 1e9) // scene.dt_ns)
         super().__init__(_held_by_hand(scene), senses=True)
 
-    def steer(self, to: Sequence[float] | None) -> None:
+    def steer(self, to: Sequence[float] | None, swing: Sequence[float] | None = None) -> None:
         """Move the hand's reference towards `to`, m, a finite number per axis within 10 m of 0.
 
-        None: the hand lets go. The reference then follows the handle itself, so the spring's force fades. Raises
-        `Refused`, and changes nothing, where `to` is no such place.
+        None: the hand lets go. The reference then follows the handle itself, so the spring's force fades. `swing`:
+        amplitudes (m) by which the target swings about `to`, with the run's clock: 0.5 Hz, every second axis 1 Hz.
+        Raises `Refused`, and changes nothing, where `to` or `swing` is no such place.
         """
-        self._target = None if to is None else self._checked(to)
+        target, amplitudes = None if to is None else self._checked(to), None if swing is None else self._checked(swing)
+        self._target, self._swing = target, amplitudes
         self._steered = True
         self._leave_own()
 
@@ -182,7 +186,7 @@ class SteeredMaster(SimulatedMaster):
         self._lead = _lead(self._scene)
         if again:
             super()._settle(again, keeps_path)
-            self._own_motion, self._steered, self._target, self._place = True, False, None, None
+            self._own_motion, self._steered, self._target, self._swing, self._place = True, False, None, None, None
         elif not keeps_path:
             self._leave_own()
 
@@ -194,6 +198,10 @@ class SteeredMaster(SimulatedMaster):
             r, self._w = self._bring.step(self._r, self._w, short)
             return r
         target = self._x if self._target is None else self._target
+        if self._target is not None and self._swing is not None:
+            phase = 2.0 * pi * SWING * (self._k + 1) * self._dt
+            target = [at + by * sin(phase * (1 + i % 2)) for i, (at, by) in
+                      enumerate(zip(self._target, self._swing, strict=True))]
         r, self._w = self._follow.step(self._r, self._w, target if self._steered else self._own(self._k + 1))
         return r
 

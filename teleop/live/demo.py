@@ -58,15 +58,14 @@ def command(args: Namespace) -> Answer:
 
     Raises `Refused`.
     """
-    if args.page and (args.device is not None or args.robot is not None):
-        raise Refused("--page has a simulated device in the browser's hand, and a simulated robot; leave --device and "
-                      "--robot out, or --page")
+    if args.page and args.device is not None:
+        raise Refused("--page has a simulated device in the browser's hand; leave --device out, or --page")
     if args.page:
         from teleop.live.page.command import command as show_page
 
         return show_page(args)
-    if args.port is not None or args.open:
-        raise Refused("--port and --open are of the page; add --page")
+    if args.port is not None or args.open or args.keep is not None:
+        raise Refused("--port, --open and --keep are of the page; add --page")
     from teleop.terminal.run import answer_of, stem, with_plot
 
     formats = asked_formats(args)

@@ -38,8 +38,9 @@ _MOST_AXES = 16
 _place = optional(list_of(real, most=_MOST_AXES))
 _TURN = {"order": one_of("turn"), "knobs": dict_of(text)}
 SHAPES: dict[str, Check] = {
-    "hand": record({"order": one_of("hand"), "to": _place}),
+    "hand": record({"order": one_of("hand"), "to": _place}, {"swing": _place}),
     "align": record({"order": one_of("align"), "to": list_of(real, most=_MOST_AXES)}),
+    "idle": record({"order": one_of("idle")}),
     "clutch": record({"order": one_of("clutch"), "open": truth}),
     "turn": record({**_TURN, "out": text}, {"again": truth, "align": _place}),
 }

@@ -141,6 +141,11 @@ class EndCounts:
     run_time: float | None = None  # s, of that
     dropped: int | None = None  # datagrams that the system did not hand over
 
+    @property
+    def skipped_share(self) -> float:
+        """Share of the ticks so far that were skipped."""
+        return self.skipped / max(1, self.skipped + self.ticks)
+
 
 class Shell:
     """Owns one end. `driving` and `leaving` call it; it calls neither of them."""
@@ -159,7 +164,7 @@ class Shell:
         self.outcome = Outcome()
         self.counts = EndCounts(last=-endpoint.every)
         self._span_ns = endpoint.every * endpoint.scene.dt_ns  # another scene keeps both
-        self.live_line = LiveLine(endpoint, say)
+        self.live_line = LiveLine(endpoint, lambda numbers: say(numbers | {"skipped": self.counts.skipped_share}))
         self.security = LinkSecurity()
         self.realtime: RealTime | None = None  # the scheduling of its process
         self.peer_timeout = peer_timeout  # s for the first exchange; None: without a bound

@@ -14,6 +14,9 @@ is no longer felt. So an order may say where the slave is (`align`): before the 
 `master.steered`) brings the master there, and then lets the hand go on to where it wants to be. Orders "align" follow
 a slave that moves on meanwhile.
 
+The order "idle" ends the end's record: what the ticks come to from then on is in a short file of the newest rows alone,
+for whoever looks on, until a turn begins the next record.
+
 The order "clutch" ends the session in the same way and begins none until it is closed again: positions count from where
 each end is by then.
 """
@@ -65,10 +68,12 @@ class Turning:
         """Carry out one order, as `teleop.live.orders.SHAPES` has them."""
         word = order["order"]
         if word == "hand":
-            self._hand(order["to"])
+            self._hand(order["to"], order.get("swing"))
         elif word == "align":
             if self._aligning:  # the slave has moved on meanwhile
                 self._align(order["to"])
+        elif word == "idle":
+            self._idle()
         elif word == "clutch":
             self._clutch(order["open"])
         elif self._next is None and not self._turned:
@@ -81,12 +86,21 @@ class Turning:
         if hasattr(self._device, "record"):
             self._device.record(None)
 
-    def _hand(self, to: list[float] | None) -> None:
+    def _idle(self) -> None:
+        """Write no more of the run until the next turn, which begins a record of its own."""
+        if self._next is None and not self._turned:
+            self._shell.endpoint.witness = None
+            self._shell.recorder.idle()
+            if hasattr(self._device, "record"):
+                self._device.record(None)
+
+    def _hand(self, to: list[float] | None, swing: list[float] | None) -> None:
         if not hasattr(self._device, "steer"):
             refuse("this end's device has no hand that can be moved; orders `hand` are for a simulated master")
             return
         try:
-            self._device.steer(None if to is None else tuple(map(float, to)))
+            about = () if swing is None else (tuple(map(float, swing)),)
+            self._device.steer(None if to is None else tuple(map(float, to)), *about)
         except Refused as refused:
             refuse(str(refused))
 

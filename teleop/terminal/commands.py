@@ -124,7 +124,10 @@ def _demo(added: ArgumentParser) -> None:
     added.add_argument("--robot", metavar="NAME", help="the same at the slave's end (see `teleop list robots`)")
     added.add_argument("--page", action="store_true", help="show it in a browser, on a page where the hand is moved "
                        "and law, link and wall are turned while it runs, until Ctrl-C (needs the extra `page`)")
-    added.add_argument("--port", metavar="N", type=whole, help="of the page; left out: one that is free")
+    added.add_argument("--port", metavar="N", type=whole, help="of the page; left out: that of the last page if it is "
+                       "free, or another one")
+    added.add_argument("--keep", metavar="SIZE", help="bound on what the page writes, as 2GB: the oldest parts are "
+                       "removed; left out: the whole session is kept")
     added.add_argument("--open", action="store_true", help="open the page in the browser")
     tick_options(added)
     realtime_option(added)

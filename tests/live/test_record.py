@@ -12,8 +12,8 @@ import pytest
 from teleop.errors import Refused
 from teleop.live.records.end_result import NAMES, WAYS
 from teleop.live.records.merge import load_result, merge, recover, scene_of
-from teleop.live.records.reader import FILE, TruncatedRecord, read_record
-from teleop.live.records.record import EVENTS, EVERY, RecordWriter, fresh_folder, read_events
+from teleop.live.records.reader import FILE, IDLE, GrowingRecord, TruncatedRecord, read_record
+from teleop.live.records.record import EVENTS, EVERY, NEWEST, RecordWriter, fresh_folder, read_events
 from teleop.protocol.guard import Event
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
@@ -328,3 +328,29 @@ def test_a_folder_without_a_record_names_one_that_has_one(inside: list[str], tmp
         with pytest.raises(Refused) as refused:
             ask(tmp_path)
         assert str(refused.value) == f"{tmp_path} holds no record; give {said}"
+
+
+def test_an_end_that_is_idle_writes_no_more_of_its_run_and_its_newest_rows_can_be_followed(tmp_path: Path) -> None:
+    """A session of fifteen minutes wrote 820 MB."""
+    writer, follower = recorded(tmp_path, 700), GrowingRecord(tmp_path, IDLE)
+    assert follower.read() == []
+    writer.idle()
+    size, seen, most = (tmp_path / FILE).stat().st_size, [], 0
+    for k in range(700, 700 + 3 * NEWEST):
+        writer.add(k, *numbered(k))
+        if k % 100 == 0:
+            seen += follower.read()
+            most = max(most, (tmp_path / IDLE).stat().st_size)
+    writer.idle()  # once more is nothing
+    seen += follower.read()
+    ticks = [row[0] for row in seen]
+    assert ticks == sorted(set(ticks)), "a file that is begun anew repeats nothing"
+    assert len(ticks) > 2.8 * NEWEST
+    assert all(row[1:3] == numbered(int(row[0]))[:2] for row in seen)
+    assert most < 1.1 * 8 * (WIDTH + 3) * NEWEST
+    assert (tmp_path / FILE).stat().st_size == size
+    writer.close()
+    follower.close()
+    assert not (tmp_path / IDLE).exists()
+    assert list(read_record(tmp_path)[1].ticks) == [*range(700)]
+    assert writer.trouble is None

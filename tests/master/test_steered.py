@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 
 from master.device import SimulatedMaster
 from master.hand import Grip, Reach, Rest, Sine
-from master.steered import ALIGNING, BANDWIDTH, ENOUGH, MOST_SPEED, SteeredMaster, following
+from master.steered import ALIGNING, BANDWIDTH, ENOUGH, MOST_SPEED, SWING, SteeredMaster, following
 from teleop.errors import Refused
 from teleop.laws.wave import Wave
 from teleop.physics.plant import MassDamper
@@ -427,3 +427,30 @@ def test_a_full_disk_ends_the_record_and_not_the_motion(tmp_path: Path) -> None:
     assert device.read(600) == other.read(600)
     assert device.trouble == "the record of the hand stopped at row 16: No space left on device"
     device.record(None)
+
+
+def test_a_hand_that_swings_does_so_by_the_runs_clock_and_a_new_target_ends_it_without_a_jump() -> None:
+    """Against the filter's own answer to a sine, computed apart: gain and phase of omega^2/(s + omega)^2."""
+    device = SteeredMaster(scene(hand=STILL))
+    device.steer([0.01], [0.02])
+    path = np.array([each[0] for each in felt(device, 6000)])
+    turn = 2.0 * np.pi * SWING
+    answer = 0.02 / (1.0 + 1j * turn / BANDWIDTH) ** 2
+    t = np.arange(1, len(path) + 1) * 1e-3 + 0.5e-3  # a target that is held from tick to tick is half a tick ahead
+    np.testing.assert_allclose(path[2000:], 0.01 + np.imag(answer * np.exp(1j * turn * t))[2000:], atol=1e-6)
+    device.steer([0.01], [0.02])  # told again, as after a turn, it goes on
+    again = np.array([each[0] for each in felt(device, 8000)])
+    assert np.abs(np.diff(np.concatenate([path[-1:], again]))).max() < 1.01 * np.abs(np.diff(path)).max()
+    device.steer([-0.03])
+    moved = np.array([each[0] for each in felt(device, 9500)])
+    assert np.abs(np.diff(np.concatenate([again[-1:], moved]))).max() < 1e-3 * MOST_SPEED
+    assert moved[-1] == pytest.approx(-0.03, abs=1e-6)
+
+
+@pytest.mark.parametrize("swing", [[nan], [11.0], [0.01, 0.02], "far"])
+def test_a_swing_that_is_none_is_refused_and_changes_nothing(swing: Any) -> None:
+    device = SteeredMaster(scene(hand=STILL))
+    device.steer([0.01])
+    with pytest.raises(Refused):
+        device.steer([0.02], swing)
+    assert felt(device, 2000)[-1][0] == pytest.approx(0.01, abs=1e-6)

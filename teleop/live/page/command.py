@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import re
 import subprocess
 import sys
 import time
 from argparse import Namespace
+from contextlib import suppress
 from functools import partial
+from math import inf
 from pathlib import Path
 from secrets import token_urlsafe
-from socket import gethostname
+from socket import SO_REUSEADDR, SOL_SOCKET, gethostname, socket
 from tempfile import mkstemp
 
 from teleop.errors import Refused, number_of
+from teleop.live.devices.device_watchdog import lock_folder
 from teleop.live.options import ticks_of
 from teleop.live.page.controls import Controls
 from teleop.live.page.server import HOST, Requests
-from teleop.live.page.session import PageParts, Start
+from teleop.live.page.session import PageParts, Start, size_of
+from teleop.live.page.side_view import SideView
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.record import fresh_folder
+from teleop.storage.files import read_bytes, replacing
+from teleop.storage.strict_json import Misshapen, parse, record, text, whole
 from teleop.terminal.answer import Answer, scene_head
 from teleop.terminal.options import knobs_from
 from teleop.terminal.run import stem
@@ -30,6 +37,10 @@ FOLDER = Path(__file__).parent
 NEEDS = ("teleop demo --page needs websockets, which is not installed; type pip install 'bilateral-teleop[page]', or "
          "pip install websockets")
 LAST_PORT = 65535
+LAST = "page.json"  # port and token of the last page, in the user's own folder ...
+LASTS = 86400.0  # s, for which they are taken again
+LONGEST = 1 << 10  # bytes of that file
+_LAST = record({"port": whole(low=1, high=LAST_PORT), "token": text})
 
 
 def command(args: Namespace) -> Answer:
@@ -41,19 +52,22 @@ def command(args: Namespace) -> Answer:
         if (error.name or "").partition(".")[0] != "websockets":
             raise
         raise Refused(NEEDS) from error
+    keep = inf if args.keep is None else size_of(args.keep)
     controls = Controls(args.scene, knobs_from(args))
+    view = None if args.robot is None else SideView(controls.first, args.robot)
     _ = controls.laws  # worked out now: where a scene reads files, it takes as long as many pictures
     ticks_of(controls.first, args.rate, lockstep=False, spin=args.spin)
     ticking = ["--spin"] * args.spin + ([] if args.rate is None else ["--rate", repr(args.rate)])
-    start = Start(args.scene, args.seed, args.realtime, ticking)
-    requests = Requests(page_bytes(), token := token_urlsafe(16))
+    start = Start(args.scene, args.seed, args.realtime, ticking, args.robot)
+    port, token = _address(args.port)
+    requests = Requests(page_bytes(), token)
     with output.live(), Interrupt() as interrupt, fresh_folder(args.out, f"{stem(args.scene)}-page") as claimed:
         folder = claimed.path
-        parts = PageParts(folder, {"scene": args.scene, "seed": args.seed, "command": args.typed})
-        page = Page(controls, parts, start, interrupt, time.monotonic)
+        parts = PageParts(folder, {"scene": args.scene, "seed": args.seed, "command": args.typed}, keep)
+        page = Page(controls, parts, start, interrupt, time.monotonic, view)
         way = Path(mkstemp(suffix=".html")[1]) if args.open else None
         try:
-            asyncio.run(page.run(requests, args.port or 0, partial(_listening, token, way)))
+            asyncio.run(page.run(requests, port, partial(_begun, token, way)))
         except OSError as error:
             if not parts.recorded:
                 raise
@@ -71,8 +85,8 @@ def command(args: Namespace) -> Answer:
     lines = [f"{result.path.name}: {result.status}: {result.sentence}" for result in results if result.path is not None]
     sentence = f"{number_of(len(parts), 'part')}, {len(results)} put together"
     head = scene_head(controls.first, "page", sentence=sentence, seed=args.seed, command=args.typed)
-    text = "\n".join([*lines, f"`teleop report {folder}` shows {'it' if len(lines) == 1 else 'them'}"])
-    return Answer(text, {**head, "parts": len(parts)}).kept_in(folder)
+    shown = "\n".join([*lines, f"`teleop report {folder}` shows {'it' if len(lines) == 1 else 'them'}"])
+    return Answer(shown, {**head, "parts": len(parts)}).kept_in(folder)
 
 
 def page_bytes() -> bytes:
@@ -88,8 +102,43 @@ def _check(args: Namespace) -> None:
     if args.plot or args.format:
         raise Refused("--page draws in the browser; leave --plot and --format out, and draw a part afterwards with "
                       "`teleop report FOLDER/01 --plot`")
+    if args.robot is not None and args.robot.partition(":")[0] != "mujoco":
+        raise Refused(f"--page shows a simulated robot or a MuJoCo model, not --robot {args.robot[:40]}; type --robot "
+                      "mujoco:FILE.xml, or leave it out")
     if args.port is not None and args.port > LAST_PORT:
         raise Refused(f"--port must be at most {LAST_PORT}, not {args.port}; leave it out for one that is free")
+
+
+def _address(port: int | None) -> tuple[int, str]:
+    """Port (0: any) and token of the page: those of the last page if it is less than a day ago and the port is free.
+
+    So a browser that shows a page comes back by itself when the page is started again.
+    """
+    with suppress(OSError, Refused, Misshapen):
+        path = lock_folder() / LAST
+        if time.time() - path.stat().st_mtime < LASTS:
+            last = parse(read_bytes(path, most=LONGEST, links=False))
+            _LAST(last, LAST)
+            if port in (None, 0, last["port"]) and _is_free(last["port"]):
+                return last["port"], last["token"]
+    return port or 0, token_urlsafe(16)
+
+
+def _is_free(port: int) -> bool:
+    with socket() as probe:
+        probe.setsockopt(SOL_SOCKET, SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, port))
+        except OSError:
+            return False
+    return True
+
+
+def _begun(token: str, way: Path | None, port: int) -> None:
+    """Note the address for the page that is started next, and show it."""
+    with suppress(OSError, Refused), replacing(lock_folder() / LAST) as file:
+        file.write(json.dumps({"port": port, "token": token}).encode())
+    _listening(token, way, port)
 
 
 def _listening(token: str, way: Path | None, port: int) -> None:

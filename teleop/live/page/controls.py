@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
 from teleop.errors import Refused, nearest, number
-from teleop.law import known_laws, law_name
+from teleop.law import find_law, known_laws, law_name
 from teleop.live.page.rows import RecordTail
 from teleop.scene.axes import scales
 from teleop.scene.knobs import knobs_of
@@ -21,6 +21,10 @@ OPEN_ENDED = "86400"  # s; a page goes on until Ctrl-C
 LOOKED_AT = 10.0  # s of the scene's own motion, for the span that is shown
 LEAST_SPAN = 0.06  # m
 HIGHEST = {"delay": 0.5, "jitter": 0.2, "loss": 0.5}  # s, s, share
+SWUNG = 0.15  # of the span that is shown, by which the hand swings where nobody moves it ...
+FREE = 0.6  # ... but no more than this share of the way to the wall
+GROUPS = ("Passive over any link", "Passive with enough damping", "No claim over a delay")
+DAMPED = ("wave_position", "p_d", "pd_d", "pp")  # of the second group; the first claims a ledger over any link
 LABELS = {"delay": ("delay each way", "s"), "jitter": ("jitter, at most", "s"), "loss": ("loss", ""),
           "k_e": ("stiffness", "N/m")}
 
@@ -42,6 +46,24 @@ class LinkSettings(NamedTuple):
         parts = [f"{effect}({value!r})" for effect, value in zip(("delay", "uniform", "bernoulli"), self, strict=True)
                  if value > 0.0]
         return " | ".join(parts) or "delay(0.0)"
+
+    @property
+    def words(self) -> str:
+        """The link in words.
+
+        >>> LinkSettings(0.15).words, LinkSettings(0.05, 0.02, 0.01).words
+        ('150 ms each way', '50 ms each way, up to 20 ms of jitter, 1 % of the packets dropped')
+        """
+        jitter, loss = f"up to {1e3 * self.jitter:g} ms of jitter", f"{100 * self.loss:g} % of the packets dropped"
+        return ", ".join([f"{1e3 * self.delay:g} ms each way", *[jitter] * (self.jitter > 0.0),
+                          *[loss] * (self.loss > 0.0)])
+
+
+class HandSwing(NamedTuple):
+    """Motion of the hand before anybody moves it: about a position by these amplitudes, m or rad per axis."""
+
+    about: tuple[float, ...]
+    by: tuple[float, ...]
 
 
 class Choice(NamedTuple):
@@ -153,8 +175,17 @@ class Controls:
                     self.scene(Choice(law=name))
             except Refused:  # a one-port law, or one that asks for more than the scene has
                 continue
-            laws.append({"name": name, "says": sentences.get(name, "the scene's own")})
-        return laws
+            laws.append({"name": name, "says": sentences.get(name, "the scene's own"), "group": _group(name)})
+        return sorted(laws, key=lambda law: (GROUPS.index(law["group"]), law["name"]))
+
+    def words(self, choice: Choice, scene: Scene) -> str:
+        """The choice in words: law, link, and a stiffness that was set."""
+        link: Any = scene.link
+        effects = () if link is None else (*link.in_direction(0), *link.in_direction(1))
+        three = {type(each).__name__ for each in effects} <= {"Delay", "UniformJitter", "Bernoulli"}
+        describe = import_bundled("channel.link").describe
+        stiffness = [] if choice.k_e is None else [f"stiffness {choice.k_e:g} {self._declared['k_e'].knob.unit}"]
+        return ", ".join([law_name(scene.laws[0]), self.link(choice).words if three else describe(link), *stiffness])
 
     def hello(self, choice: Choice, scene: Scene) -> dict[str, Any]:
         """Message that describes the scene of a choice to the page."""
@@ -165,19 +196,36 @@ class Controls:
             "notes": untuned(scene), "sliders": [slider._asdict() for slider in self.sliders(choice)],
             "wall": _wall(scene), "f_max": most_forces(scene)[0],
             "span": max(self.spans), **self._axes(scene),
-            "link": "no link" if scene.link is None else describe(scene.link),
+            "link": "no link" if scene.link is None else describe(scene.link), "words": self.words(choice, scene),
             "energy": None if not scene.energy else "link" if scene.has_waves else "ports",
         }
 
     @cached_property
+    def _paths(self) -> Sequence[Sequence[float]]:
+        """The scene's own motion of the hand, m or rad per axis; empty without one."""
+        reference: Any = self._short.reference
+        paths: Sequence[Sequence[float]] = () if reference is None else reference.samples(
+            self._short.axes, self._short.ticks, self._short.dt_ns)
+        return paths
+
+    @cached_property
     def spans(self) -> list[float]:
         """Span of each axis to show, m or rad: its wall, its own motion, and room beside them."""
-        scene = self._short
-        reference: Any = scene.reference
-        paths = () if reference is None else reference.samples(scene.axes, scene.ticks, scene.dt_ns)
-        most = [max(map(abs, path)) for path in paths] or [0.0] * scene.axes
-        return [float(f"{2.5 * max(LEAST_SPAN / 2.5, abs(_wall(scene, i) or 0.0), far):.2g}")
+        most = [max(map(abs, path)) for path in self._paths] or [0.0] * self._short.axes
+        return [float(f"{2.5 * max(LEAST_SPAN / 2.5, abs(_wall(self._short, i) or 0.0), far):.2g}")
                 for i, far in enumerate(most)]
+
+    @cached_property
+    def swing(self) -> HandSwing | None:
+        """Swing of the hand in free space, where the scene's own motion comes to rest; None where it goes on."""
+        last = round(1.0 / self._short.dt)  # the ticks of the last second
+        if any(min(path[-last:]) != max(path[-last:]) for path in self._paths):
+            return None
+        about = tuple([path[0] for path in self._paths]) or (0.0,) * self._short.axes
+        walls = [_wall(self._short, i) for i in range(self._short.axes)]
+        return HandSwing(about, tuple([
+            min(SWUNG * span, span if wall is None else FREE * abs(wall - at)) / (1 + i % 2)
+            for i, (at, wall, span) in enumerate(zip(about, walls, self.spans, strict=True))]))
 
     def _axes(self, scene: Scene) -> dict[str, Any]:
         """Names, units, walls, caps and spans of several axes, or of one that turns; nothing of one along a line."""
@@ -185,6 +233,14 @@ class Controls:
             return {}
         return {"names": scene.axis_names, "units": scene.axis_units, "caps": most_forces(scene), "spans": self.spans,
                 "walls": [_wall(scene, i) for i in range(scene.axes)]}
+
+
+def _group(name: str) -> str:
+    """The group of a law, which says what holds over a delay."""
+    law = find_law(name) if name in known_laws() else None
+    if "any link" in getattr(law, "claims", {}).values():
+        return GROUPS[0]
+    return GROUPS[1 if name in DAMPED else 2]
 
 
 def most_forces(scene: Scene) -> list[float | None]:

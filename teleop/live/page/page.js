@@ -1,13 +1,15 @@
 "use strict";
 const $ = id => document.getElementById(id), stage = $("stage"), g = stage.getContext("2d");
-const SLOW = 8, SHOWN = 10, LANE = 7, EVERY = .08;  // packets' slowness; s of strips; px between the ways; s between packets drawn
+document.body.className = "";
+const SLOW = 8, SHOWN = 10, KEPT = 18e3, LANE = 7, EVERY = .08;  // packets' slowness; s of strips; rows; px between the ways; s between packets drawn
 const dark = matchMedia("(prefers-color-scheme: dark)"), still = matchMedia("(prefers-reduced-motion: reduce)");
-let hello = null, row = null, rows = [], lost = null, status = {}, socket = null, tries = 0, was = false, dirty = true, turned = false;
+let hello = null, row = null, rows = [], lost = null, status = {}, socket = null, tries = 0, was = false, dirty = true;
 let heardAt = 0, lookedAt = 0, mute = false;  // when the server said something, when that was looked at; it stands still
 let C = {}, W = 0, H = 0, R = 1, view = {c: 0, span: .12}, dots = [], owed = 0, shown = {m: 0, s: 0}, frames = 0;
 const num = v => Array.isArray(v) ? v[0] : v, clip = (v, lo, hi) => Math.min(hi, Math.max(lo, v));
 const fixed = (v, n) => (Math.abs(v) < .5 * 10 ** -n ? 0 : v).toFixed(n).replace("-", "\u2212");
-const ms = s => s == null ? "\u2013" : fixed(s * 1e3, s > 0 && s < .00995 ? 1 : 0) + " ms", pc = v => v == null ? "\u2013" : fixed(v * 100, v < .0995 && v > 0 ? 1 : 0) + " %";
+const bytes = n => { const k = n >= 1e9 ? 3 : n >= 1e6 ? 2 : 1; return +(n / 1e3 ** k).toPrecision(3) + " " + ["kB", "MB", "GB"][k - 1]; };
+const ms = s => s == null ? "\u2013" : fixed(s * 1e3, s >= 5e-5 && s < .00995 ? 1 : 0) + " ms", pc = v => v == null ? "\u2013" : fixed(v * 100, v < .0995 && v >= 5e-4 ? 1 : 0) + " %";
 
 function colours() {
   const css = getComputedStyle(document.documentElement);
@@ -30,7 +32,6 @@ function sent(message) {
 const heard = {
   hello(m) {
     const first = !hello || hello.scene !== m.scene;
-    turned = !!hello;
     axes(m);
     lastTurn = performance.now();
     hello = m;
@@ -40,7 +41,6 @@ const heard = {
     $("link").textContent = m.link || "";
     $("third").textContent = m.axes > 2 ? "Wheel, Page Up and Page Down move the third axis. " : "";
     if (m.wall == null) $("invite").firstChild.textContent = "Drag the handle";
-    $("energy").textContent = m.energy === "ports" ? "Energy taken up at both ends" : "Energy stored in the link";
     laws(m);
     sliders(m, first);
     for (const one of strips) one.whole = true;
@@ -51,6 +51,7 @@ const heard = {
     rows = [];
     m.rows.forEach(take);
     scaled = 0;
+    live();
     for (const one of strips) one.whole = true;
   },
   status(m) {
@@ -59,10 +60,12 @@ const heard = {
     $("delay").textContent = "delay " + ms(m.delay);
     $("jitter").textContent = "jitter " + ms(m.jitter);
     $("loss").textContent = "loss " + pc(m.loss);
-    for (const [e, name] of [["m", "master"], ["s", "slave"]]) {
-      const one = m[e] || {}, at = $("g" + e);
-      at.className = one.cause ? "safe" : "";
-      at.textContent = one.gain == null ? "" : one.cause ? `${name} SAFE, ${pc(one.gain)} of its force: ${one.cause}` : `${name}\u2019s force ${pc(one.gain)}`;
+    $("skipped").textContent = m.skipped >= 5e-4 ? `ticks skipped by this machine ${pc(m.skipped)}` : "";
+    $("disk").textContent = m.free == null ? "" : `${m.idle ? "nothing is being written: nobody steers; " : ""}${bytes(m.written)} written, ${bytes(m.free)} left on the disk`;
+    for (const [e, name] of [["m", "Master"], ["s", "Slave"]]) {
+      const one = m[e] || {}, at = $("g" + e), off = m.clutch ? "Clutch open: both forces off" : m.switching ? "Switching..." : "";
+      at.className = one.cause && !m.switching ? "safe" : "";
+      at.textContent = off ? (e === "m" ? off : "") : one.gain == null ? "" : `${name}\u2019s force ${pc(one.gain)}${one.cause ? ": " + one.cause : ""}`;
     }
     connection();
     pressed(m.clutch || clutch);
@@ -70,39 +73,48 @@ const heard = {
   },
   said(m) { say(m.level, m.text); },
 };
-let axis = 0;  // of more than three axes one is shown and dragged, as if there were no other
+let axis = 0, few = true;  // of more than three axes one is shown and dragged, as if there were no other
 const metre = () => hello && hello.units ? hello.units[axis] : "m", newton = () => metre() === "m" ? " N" : " N m";
 function axes(m) {
-  const at = $("axis"), many = m.names && m.names.length > 3;
-  at.hidden = !many;
-  if (!many) { axis = 0; return; }
-  if (at.length !== m.names.length) { at.replaceChildren(...m.names.map((name, i) => new Option(name, i))); axis = 0; }
+  const at = $("axes");
+  few = at.hidden = !m.names || m.names.length < 4;
+  if (few) { axis = 0; return; }
+  if (at.children.length !== m.names.length) {
+    axis = 0;
+    at.replaceChildren(...m.names.map((name, i) => {
+      const button = Object.assign(document.createElement("button"), {type: "button", textContent: name, onclick: () => choose(i)});
+      button.append(document.createElement("output"), document.createElement("canvas"));
+      return button;
+    }));
+  }
+  [...at.children].forEach((button, i) => button.setAttribute("aria-pressed", String(i === axis)));
   Object.assign(m, {axes: 1, wall: m.walls[axis], f_max: m.caps[axis], span: m.spans[axis]});
 }
 function along(r) {
-  if (!r || $("axis").hidden) return r;
+  if (!r || few) return r;
   r.all = r.all || {...r};
   for (const key in r.all) if (Array.isArray(r.all[key]) && r.all[key].length === hello.names.length) r[key] = [r.all[key][axis]];
   return r;
 }
 const ofAll = to => row && row.all && to ? (row.all.hand || row.all.xm).map((x, i) => i === axis ? to[0] : x) : to;
-$("axis").onchange = event => {
-  axis = +event.target.value;
+function choose(i) {
+  axis = i;
   axes(hello);
   rows.forEach(along);
   drag = null;
   if (target) target = [(row.all.hand || row.all.xm)[axis]];
   view = {c: 0, span: hello.span};
   for (const one of strips) one.whole = dirty = true;
-};
+}
 function take(r) {
   along(r);
   const last = rows[rows.length - 1];
   if (last && r.t < last.t - 1) { rows = []; for (const one of strips) one.whole = true; }
   else if (last && r.t <= last.t) rows.pop();  // no tick since
-  if (turned) { r.mark = true; turned = false; }
+  r.mark = rows.length > 0 && rows[rows.length - 1].part !== r.part;
+  if (r.arm) pose = r.arm;
   rows.push(r);
-  if (rows.length > 1600) rows.splice(0, 600);
+  if (rows.length > KEPT) rows.splice(0, 600);
   row = r;
   const far = Math.max(...[r.xm[0], r.xs[0], r.hand ? r.hand[0] : 0].map(x => Math.abs(x - view.c)));
   if (far > .5 * view.span && far < 10) { while (far > .5 * view.span) view.span *= 1.25; for (const one of strips) one.whole = true; }
@@ -122,7 +134,7 @@ function listen() {  // a server that stands still, or a cut way to it, closes n
   mute = silent;
   connection();
   dirty = true;
-  if (mute) say("error", "Nothing comes from the server: it stands still, or the way to it is cut. What is shown here is what came last.");
+  if (mute) say("error", "The server does not answer: it hangs, or the connection is cut. The page shows what came last.");
   else say("info", "The server answers again.");
 }
 function connect() {
@@ -133,7 +145,7 @@ function connect() {
     heardAt = performance.now();
     lost = null;
     connection();
-    if (was) say("info", "The server is back; this page shows the run again.");
+    if (was) say("info", "The demo runs again, and this page shows it.");
     was = true;
   };
   socket.onmessage = event => {
@@ -142,11 +154,11 @@ function connect() {
     if (heard[m.type]) heard[m.type](m);
   };
   socket.onclose = event => {
-    const wait = Math.min(8, .5 * 2 ** tries++);
+    const wait = Math.min(4, .5 * 2 ** tries++);
     drag = null; target = null; clutch = mute = false; pressed(false);
     connection(`not connected, next try in ${wait} s`);
-    if (was || tries === 2 || event.reason) say("error", event.reason || "The server does not answer: it has ended, or the way to it is cut. " +
-      "Start it again with `teleop demo --page`; this page tries again by itself.");
+    if (was || tries === 2 || event.reason) say("error", event.reason || "The server does not answer: it has ended, or the connection is cut. " +
+      "Start it again with `teleop demo --page`, and this page comes back by itself.");
     dirty = true;
     setTimeout(connect, wait * 1e3);
   };
@@ -157,11 +169,16 @@ function laws(m) {
   const at = $("law"), all = m.laws.some(law => law.name === m.law) ? m.laws : [{name: m.law, says: ""}, ...m.laws];
   const names = all.map(law => law.name).join("\n");
   if (at.dataset.names !== names) {
-    at.replaceChildren(...all.map(law => new Option(law.name, law.name)));
+    at.replaceChildren(...[...new Set(all.map(law => law.group))].map(group => {
+      const several = Object.assign(document.createElement("optgroup"), {label: group || "On the running system"});
+      several.append(...all.filter(law => law.group === group).map(law => new Option(law.name, law.name)));
+      return several;
+    }));
     at.dataset.names = names;
   }
   at.value = m.law;
-  $("says").textContent = [all.find(law => law.name === m.law).says, m.gains, ...m.notes].filter(each => each).join(". ");
+  $("gains").textContent = m.gains;
+  $("says").textContent = [all.find(law => law.name === m.law).says, ...m.notes.map(note => note + ".")].join(" ");
 }
 $("law").onchange = event => { if (!sent({type: "turn", law: event.target.value})) event.target.value = hello ? hello.law : ""; };
 
@@ -284,6 +301,7 @@ onkeydown = event => {
     event.preventDefault();
     if (!event.repeat) setClutch(true);
   } else if ((event.key === "r" || event.key === "R") && !event.repeat) again();
+  else if ((event.key === "p" || event.key === "P") && !event.repeat) $("pause").click();
   else if (free && ARROWS[event.key] && base()) {
     const [axis, way] = ARROWS[event.key], to = base().slice();
     if (axis >= to.length) return;
@@ -308,36 +326,3 @@ function gamepad(dt) {
     return;
   }
 }
-
-/* -- frames ------------------------------------------------------------------------------------------------------- */
-let before = 0, scaled = 0, stripped = 0;
-function frame(now) {
-  const dt = clip((now - before) / 1e3, 0, .1);
-  before = now;
-  frames++;
-  if (pad) gamepad(dt);
-  flush(now);
-  if (dirty || dots.length) { draw(dt); }
-  if (now - scaled > 250) { rescale(); scaled = now; }
-  if ((dirty || strips.some(one => one.whole)) && (!still.matches || now - stripped > 250)) { strips.forEach(drawStrip); stripped = now; }
-  dirty = false;
-  requestAnimationFrame(frame);
-}
-function size() {
-  R = Math.min(2, devicePixelRatio || 1);
-  for (const canvas of [stage, ...strips.map(one => one.canvas)]) {
-    const box = canvas.getBoundingClientRect(), w = Math.max(1, Math.round(box.width * R)), h = Math.max(1, Math.round(box.height * R));
-    if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
-    if (canvas === stage) { W = box.width; H = box.height; }
-  }
-  for (const one of strips) one.whole = true;
-  dirty = true;
-}
-new ResizeObserver(size).observe(document.querySelector("main"));
-dark.onchange = colours;
-colours();
-size();
-setInterval(() => { flush(performance.now()); listen(); }, 200);
-if ("WebSocket" in window) connect();
-else say("error", "This browser has no WebSocket, through which the page hears the robot: open it in a current Firefox, Chrome, Edge or Safari.");
-requestAnimationFrame(frame);

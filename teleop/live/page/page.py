@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
 from collections.abc import Callable, Hashable
 from contextlib import suppress
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.live.page.controls import Choice, Clutch, Controls, Drag, SwitchQueue, SwitchRequest, most_forces
+from teleop.live.page.controls import Choice, Clutch, Controls, Drag, HandSwing, SwitchQueue, SwitchRequest, most_forces
 from teleop.live.page.rows import HandReference, RecordTail, RowMessages, Shaking
 from teleop.live.page.server import Clients, Requests, hand_position, sentence_message
-from teleop.live.page.session import Children, PageParts, Start
+from teleop.live.page.session import Children, PageParts, Start, size_text
+from teleop.live.page.side_view import SideView
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
+from teleop.live.records.reader import IDLE as IDLE_FILE
 from teleop.live.records.reader import Row
 from teleop.protocol.states import Cause
 from teleop.storage.strict_json import Misshapen, json_text
@@ -23,20 +26,26 @@ PERIOD = 1.0 / 60.0  # s between two pictures, and two orders to the hand, at le
 STATUS = 0.25  # s between two messages on the link's state
 SILENT = 1.0  # s without a row, and an end is reported as lost, though its process lives
 SOON = 5.0  # s after a process was started anew: if it is lost again by then, a person has to start it
+IDLE = 60.0  # s without anybody who steers, and the ends write no more
+SHARE = 0.25  # of the bytes that are kept: a part that has more is ended, and the next one begun
+SCARCE = 1 << 30  # bytes that are left of the disk, from which on the page warns
 ENDS = ("slave", "master")
 EXPECTED = (Cause.ORDERED.name, Cause.NEW_SESSION.name, Cause.ASKED_AGAIN.name)
 """Causes of a safe state that are no news here, whether the end had the order itself or its peer reports it."""
 
 
 class Page:
-    """Session of the page. `parts`: folder for its parts; `start`: options of the processes; `now`: the clock, s."""
+    """Session of the page. `parts`: folder for its parts; `start`: options of the processes; `now`: the clock, s.
+
+    `view`: side view of the robot, if that is a MuJoCo model.
+    """
 
     def __init__(self, controls: Controls, parts: PageParts, start: Start, interrupt: Interrupt,
-                 now: Callable[[], float]) -> None:
+                 now: Callable[[], float], view: SideView | None = None) -> None:
         self._controls, self._parts, self._interrupt, self._now = controls, parts, interrupt, now
         self._scene = controls.first
         self._switches, self._drag, self._clutch = SwitchQueue(Choice()), Drag(), Clutch(self._scene)
-        self._rows, self._shaking = RowMessages(self._scene.dt), self._shaking_of()
+        self._rows, self._shaking = RowMessages(self._scene.dt, view), self._shaking_of()
         self._children = Children(start, self._hear, self._lose)
         self._tails: dict[str, RecordTail] = {}
         self._next_tails: dict[str, RecordTail] = {}  # of the part that begins
@@ -45,7 +54,14 @@ class Page:
         self._unreadable: set[str] = set()  # ends whose record is damaged
         self._live: dict[str, dict[str, Any]] = {}
         self._safe: set[str] = set()  # ends whose force was reported to go to zero
-        self._hand_order: tuple[float, ...] | None = None  # last target of the hand that was ordered
+        self._hand_order: HandSwing | tuple[float, ...] | None = None  # last motion of the hand that was ordered
+        self._ordered = False  # the master has that order, and nothing since that undoes it
+        self._swings = True  # nobody has moved the hand since the start, so it swings by itself
+        self._steered_at = now()  # time at which somebody steered last
+        self._idle_at: float | None = None  # time at which the ends were ordered to write no more; None: they write
+        self._written, self._free = 0, 0  # bytes in the folder, and left of its disk
+        self._measured_at = float("-inf")  # time of that
+        self._scarce = False  # reported, until there is more again
         self._lost: dict[str, str] = {}  # processes that have ended, and why
         self._silent: str | None = None  # an end whose process lives and sends nothing
         self._heard_at: dict[str, float] = {}  # time of the last row of each end
@@ -120,6 +136,10 @@ class Page:
     def hear(self, page: Hashable, message: dict[str, Any]) -> None:
         """Take a message of a page. Raises `Garbage` or `Refused`."""
         kind = message["type"]
+        if kind == "hand":
+            self._swings = False
+        else:
+            self._steered_at = self._now()
         if kind == "hand" and message["to"] is None:
             self._drag.let_go(page)
         elif kind == "hand":
@@ -147,6 +167,9 @@ class Page:
         if now - self._status_at >= STATUS:
             self._status_at = now
             self._watch(now)
+            if now - self._measured_at >= 1.0:
+                self._measured_at = now
+                self._look_at_disk()
             if self.clients is not None:
                 self.clients.show(self._status())
 
@@ -163,10 +186,10 @@ class Page:
             if not new["m"]:
                 return
             self._began = now - self._since - new["m"][-1][0] * self._scene.dt
-        t = self._began + max(each.newest[-1][0] for each in self._tails.values()
-                                       if each.newest) * self._scene.dt
+        t = self._began + max(each.newest[-1][0] for each in self._tails.values() if each.newest) * self._scene.dt
         self._rows.gain.update({e: numbers["gain"] for e, numbers in self._live.items() if "gain" in numbers})
-        shown = self._rows.message(t, self._tails, new, None if self._hand is None else self._hand.newest())
+        hand = None if self._hand is None or (self._idle_at is not None and self._swings) else self._hand.newest()
+        shown = self._rows.message(t, self._tails, new, hand)
         if shown is None or self.clients is None:
             return
         self.clients.show(shown.text)
@@ -183,7 +206,7 @@ class Page:
             if e in self._next_tails and (rows := self._next_tails[e].read()):
                 self._tails[e].close()
                 self._tails[e] = self._next_tails.pop(e)
-                if e == "m":
+                if e == "m" and self._idle_at is None:
                     self._follow_hand()
                 return rows
             return self._tails[e].read() if e in self._tails else []
@@ -201,12 +224,16 @@ class Page:
 
     def _steer(self, now: float) -> None:
         """Order the master to move the hand, if its target has changed."""
-        to = self._drag.target(now)
-        if to == self._hand_order:
+        to = self._controls.swing if self._swings else self._drag.target(now)
+        if (self._ordered and to == self._hand_order) or (self._swings and to is None):  # or the scene's own goes on
             return
         self._shaking.note_motion()
-        self._hand_order = to
-        self._children.order({"order": "hand", "to": None if to is None else list(to)}, "master")
+        self._hand_order, self._ordered = to, True
+        if isinstance(to, HandSwing):
+            self._children.order({"order": "hand", "to": list(to.about), "swing": list(to.by)}, "master")
+        else:
+            self._steered_at = now
+            self._children.order({"order": "hand", "to": None if to is None else list(to)}, "master")
 
     def _update_ends(self, now: float) -> None:
         """Open or close the clutch; begin the next switch, unless the clutch is open."""
@@ -217,6 +244,41 @@ class Page:
             self._fail("the three did not all switch in time")
         elif not self._clutch.is_open and (switch := self._switches.next(now)) is not None:
             self._begin_switch(switch)
+        elif not self._clutch.is_open and self._switches.under_way is None:
+            self._rest(now)
+
+    def _rest(self, now: float) -> None:
+        """Have the ends write no more while nobody steers, and begin a part when somebody does again."""
+        if now - self._steered_at < IDLE:
+            if self._idle_at is not None:
+                self._switches.ask(self._switches.wanted, align=True)
+            return
+        if self._idle_at is None:
+            self._tell("info", f"Nobody has steered for {IDLE:g} s: the run goes on, and nothing more is written until "
+                               "somebody does")
+        elif not self._next_tails or now - self._idle_at < SILENT:
+            return
+        self._idle_at = now  # an end that has just switched does not take the order, and has it again
+        for e, folder in self._parts.newest.items():
+            self._next_tails.setdefault(e, RecordTail(folder, IDLE_FILE))
+        self._children.order({"order": "idle"}, *ENDS)
+
+    def _look_at_disk(self) -> None:
+        """Measure what has been written, and keep it within bounds: the oldest parts go first."""
+        try:
+            sizes = self._parts.sizes()
+            self._written, self._free = sum(sizes), shutil.disk_usage(self._parts.folder).free
+            if self._written > self._parts.keep and len(sizes) > 1 and self._switches.under_way is None:
+                self._tell("info", f"Part {self._parts.drop_oldest()} is removed: the parts had "
+                                   f"{size_text(self._written)}, and --keep is {size_text(self._parts.keep)}")
+            elif sizes and sizes[-1] > SHARE * self._parts.keep and self._idle_at is None:
+                self._switches.ask(self._switches.wanted, align=True)
+        except OSError as error:
+            self._report_refusal(error)
+        if self._free < SCARCE and not self._scarce and self._written:
+            self._tell("warn", f"{size_text(self._free)} are left on the disk of {self._parts.folder}; free some "
+                               "space, or start again with --keep")
+        self._scarce = self._free < SCARCE
 
     def _begin_switch(self, switch: SwitchRequest) -> None:
         try:  # a choice without a scene is refused before any end has an order
@@ -227,7 +289,8 @@ class Page:
             return
         newest = self._tails["m"].newest if "m" in self._tails else None
         try:
-            folders = self._parts.begin(knobs, int(newest[-1][0]) if newest else 0, "again" if switch.again else "turn")
+            why = "again" if switch.again else "turn" if self._idle_at is None else "idle"
+            folders = self._parts.begin(knobs, int(newest[-1][0]) if newest else 0, why)
         except OSError as error:
             self._switches.give_up()
             self._tell("error", f"not switched, since nothing more can be written ({error.strerror or error}); free "
@@ -235,11 +298,14 @@ class Page:
             if self.clients is not None:
                 self.clients.tell(self._hello())  # a slider that was moved goes back
             return
-        self._scene = scene
+        self._tell("info", "Switching...")
+        self._scene, self._idle_at = scene, None
         align = None if switch.again else self._clutch.aligned_position(self._tails)
         self._aligns = align is not None
         self._clutch.expect_switch(again=switch.again)
         self._children.order({"order": "turn", "knobs": knobs}, "channel")
+        for tail in self._next_tails.values():
+            tail.close()
         for e, name in NAMES.items():
             self._next_tails[e] = RecordTail(folders[e])
             self._children.order({"order": "turn", "knobs": knobs, "out": str(folders[e]), "again": switch.again,
@@ -276,7 +342,8 @@ class Page:
         if (switch := self._switches.take_answer(name, self._now())) is not None:
             self._shaking = self._shaking_of()  # for the new part: another law that shakes is reported again
             self._tell("info", self._describe_switch(switch))
-            self._hand_order = None  # a hand that is back at the start needs its target again
+            self._ordered = False  # a hand that is back at the start needs its target again
+            self._swings = self._swings or switch.again
             if self.clients is not None:
                 self.clients.tell(self._hello())
 
@@ -288,15 +355,14 @@ class Page:
             self._clutch.begin_session(event["k"])
         if what == "safe" and event["cause"] not in EXPECTED and not self._lost:
             self._safe.add(name)
-            self._tell("warn", f"the {name}: the force is on its way to zero, {event['why']}")
+            self._tell("warn", f"{name.capitalize()}: the force falls to zero, {event['why']}")
         elif what == "released" and name in self._safe:
             self._safe.discard(name)
-            self._tell("info", f"the {name}: the force is back, {event['why']}")
+            self._tell("info", f"{name.capitalize()}: the force is back, {event['why']}")
 
     def _describe_switch(self, switch: SwitchRequest) -> str:
-        hello = self._controls.hello(switch.choice, self._scene)
-        done = "started again" if switch.again else "switched"
-        return f"{done}: law {hello['law']}, {hello['link']}"
+        words = self._controls.words(switch.choice, self._scene)
+        return f"Started again: {words}" if switch.again else f"Switched to {words}"
 
     # lost, and back
 
@@ -355,7 +421,7 @@ class Page:
         self._follow_hand()
         self._live, self._heard_at, self._safe, self._unreadable = {}, {}, set(), set()
         self._began = None
-        self._aligns = False
+        self._aligns, self._swings, self._idle_at, self._steered_at = False, True, None, self._now()
         self._clutch, self._shaking = Clutch(self._scene), self._shaking_of()
         try:
             await self._children.start(knobs, folders)
@@ -363,7 +429,7 @@ class Page:
             if why != "start":  # a process that is lost just after the first start is started anew like any other
                 self._restarted_at = self._now()
             self._restarting = None
-            self._hand_order = None  # orders meanwhile have reached nobody
+            self._ordered = False  # orders meanwhile have reached nobody
         self._lost = {}
         if self.clients is not None:
             self.clients.tell(self._hello())
@@ -388,7 +454,8 @@ class Page:
             self.clients.tell(sentence_message(level, sentence))
 
     def _hello(self) -> str:
-        return json_text({**self._controls.hello(self._switches.choice, self._scene), "state": self._state()})
+        return json_text({**self._controls.hello(self._switches.choice, self._scene), "state": self._state(),
+                          "arm": None if self._rows.view is None else self._rows.view.shapes()})
 
     def _state(self) -> str:
         if self._lost:
@@ -398,8 +465,12 @@ class Page:
     def _status(self) -> str:
         ends = {e: {key: value for key, value in self._live.get(e, {}).items() if key != "event"} for e in NAMES}
         worst = {key: max((numbers[key] for numbers in ends.values() if numbers.get(key) is not None), default=None)
-                 for key in ("delay", "jitter", "loss")}
+                 for key in ("delay", "jitter", "skipped")}
+        losses = [ends[e]["loss"] - (ends[peer].get("skipped") or 0.0)  # what an end skipped, it did not send
+                  for e, peer in ("ms", "sm") if ends[e].get("loss") is not None]
         lost = next(iter(self._lost), self._silent)
         return json.dumps({
-            "type": "status", **ends, **worst, "lost": None if lost is None else f"the {lost}",
+            "type": "status", **ends, **worst, "loss": max(0.0, *losses) if losses else None,
+            "switching": self._switches.under_way is not None, "idle": self._idle_at is not None,
+            "written": self._written, "free": self._free, "lost": None if lost is None else f"the {lost}",
             "clutch": self._clutch.is_open, "parts": len(self._parts), "shakes": self._shaking.shakes})

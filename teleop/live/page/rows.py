@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
@@ -12,7 +13,8 @@ from struct import Struct
 from struct import error as StructError
 from typing import BinaryIO, NamedTuple
 
-from teleop.live.records.reader import GrowingRecord, Row
+from teleop.live.page.side_view import SideView
+from teleop.live.records.reader import FILE, GrowingRecord, Row
 from teleop.storage.files import open_regular
 from teleop.storage.strict_json import parse
 
@@ -65,8 +67,8 @@ class HandReference:
 class RecordTail(GrowingRecord):
     """Record in `folder` as it grows, with its newest rows, and the slice of each column in a row."""
 
-    def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
+    def __init__(self, folder: Path, name: str = FILE) -> None:
+        super().__init__(folder, name)
         self.slices: dict[str, slice] = {}  # of each column in a row, once there is a header
         self.axes = 0
         self.newest: deque[Row] = deque(maxlen=KEPT)  # oldest first; of one tick each
@@ -87,6 +89,7 @@ class RecordTail(GrowingRecord):
 
 
 PAST = 600  # messages that are kept: 10 s of them
+ARM_EVERY = 3  # messages, one of which has the poses of the robot's outlines: 20 a second
 _LAST = {"m": ("x_m", "f_m", "f_h"), "s": ("x_s", "f_s", "f_env")}
 _SHOWN = {"x_m": "xm", "f_m": "fm", "f_h": "fh", "x_s": "xs", "f_s": "fs", "f_env": "fe"}
 _SWINGS = ("x_m", "f_m", "x_s", "f_s")  # whose extremes are shown
@@ -110,11 +113,12 @@ class RowsMessage(NamedTuple):
 class RowMessages:
     """Maker of the messages `rows` and `past`, for all pages, at most sixty times a second.
 
-    `dt` in s; `gain`: the gain of an end whose record has no column of it.
+    `dt` in s; `view`: of the robot's model, if it has one; `gain`: the gain of an end whose record has no column of it.
     """
 
-    def __init__(self, dt: float) -> None:
-        self.dt = dt
+    def __init__(self, dt: float, view: SideView | None = None) -> None:
+        self.dt, self.view = dt, view
+        self._count = 0
         self.past: deque[str] = deque(maxlen=PAST)
         self.gain: dict[str, float] = {"m": 1.0, "s": 1.0}
 
@@ -126,7 +130,8 @@ class RowMessages:
         """
         if not all(each.newest for each in ends.values()):
             return None
-        parts, forces, gains = [f'"t":{t:.4f}', f'"hand":{_list(hand)}'], {}, []
+        parts, forces, gains = [f'"t":{t:.4f}', f'"part":"{ends["m"].folder.parent.name}"',
+                                f'"hand":{_list(hand)}'], {}, []
         for e, tail in ends.items():
             row, slices = tail.newest[-1], tail.slices
             columns = list(zip(*(new[e] or [row]), strict=True))
@@ -140,8 +145,11 @@ class RowMessages:
                 if name.startswith("f"):
                     forces[e] = extremes
             gains.append(_first_or(row, tail, _GAIN[e], self.gain[e]))
-        energy = _energy(**ends) if all(gains) else None  # without force what an end sends is no session's
-        parts += [f'"gain":{_list(gains)}', f'"E":{_number(energy)}', self._link(**ends)]
+        kind, energy = _energy(**ends) if all(gains) else (None, None)  # without force it is of no session
+        parts += [f'"gain":{_list(gains)}', f'"kind":{json.dumps(kind)}', f'"E":{_number(energy)}', self._link(**ends)]
+        self._count += 1
+        if self.view is not None and self._count % ARM_EVERY == 0:
+            parts.append(f'"arm":{json.dumps(self.view.poses(**positions_of(ends)))}')
         text = f'{{"type":"rows",{",".join(parts)}}}'
         self.past.append(text)
         return RowsMessage(text, forces)
@@ -163,22 +171,28 @@ class RowMessages:
         return f'"queue":{"null" if None in queues else _list(queues)},"age":{_list(ages)}'
 
 
-def _energy(m: RecordTail, s: RecordTail) -> float | None:
+def positions_of(ends: Mapping[str, RecordTail]) -> dict[str, Row]:
+    """The newest positions of the ends m and s, m or rad per axis."""
+    return {e: tail.newest[-1][tail.slices[f"x_{e}"]] for e, tail in ends.items()}
+
+
+def _energy(m: RecordTail, s: RecordTail) -> tuple[str | None, float | None]:
     """Energy stored in the link (J), or else absorbed at the two ports, at the newest tick that both ends have.
 
-    None where the two do not have the same columns: without a ledger, or while one end alone has switched.
+    Before it its kind, `link` or `ports`. None where the two do not have the same columns: without a ledger, or while
+    one end alone has switched.
     """
     common = min(m.newest[-1][0], s.newest[-1][0])
     row_m, row_s = m.at(common), s.at(common)
     if row_m is None or row_s is None:
-        return None
+        return None, None
     waves = "E_in_fwd" in m.slices, "E_in_bwd" in s.slices
     if all(waves):
         stored = _first(row_m, m, "E_in_fwd") - _first(row_s, s, "E_out_fwd")
-        return stored + (_first(row_s, s, "E_in_bwd") - _first(row_m, m, "E_out_bwd"))
+        return "link", stored + (_first(row_s, s, "E_in_bwd") - _first(row_m, m, "E_out_bwd"))
     if any(waves) or "E_port_m" not in m.slices or "E_port_s" not in s.slices:
-        return None
-    return _first(row_m, m, "E_port_m") - _first(row_s, s, "E_port_s")
+        return None, None
+    return "ports", _first(row_m, m, "E_port_m") - _first(row_s, s, "E_port_s")
 
 
 def _first(row: Row, tail: RecordTail, name: str) -> float:

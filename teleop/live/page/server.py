@@ -328,7 +328,7 @@ class Clients:
         self._strangers.pop(connection, None)
 
     async def serve(self, port: int) -> int:
-        """Listen on this machine; the port, which the system chooses if it is 0. Raises `Refused`."""
+        """Listen on this machine; return the port, which the system chooses if it is 0. Raises `Refused`."""
         quiet = logging.getLogger("teleop.page")
         quiet.addHandler(logging.NullHandler())
         quiet.propagate = False  # whatever a stranger sends is no line on this terminal

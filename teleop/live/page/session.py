@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,16 +22,21 @@ from teleop.simulation.result import Result
 from teleop.storage.strict_json import write_document
 
 FLUSH = 16  # rows of a record that are handed over at once
+LEAST_KEPT = 1e7  # bytes: ten seconds of a session
 LEAVE = 5.0  # s for a process to leave in order, before it is killed
 
 
 class Start(NamedTuple):
-    """Options for starting the three processes. `ticking`: of the ends alone; `program`: see `Child.start`."""
+    """Options for starting the three processes.
+
+    `ticking`: of the ends alone; `robot`: a MuJoCo model in place of the simulated slave; `program`: see `Child.start`.
+    """
 
     scene: str
     seed: int
     realtime: bool = True
     ticking: Sequence[str] = ()
+    robot: str | None = None
     program: Sequence[str] = ()
 
 
@@ -55,7 +62,9 @@ class Children:
         """Start all three, the ends m and s to write into `folders`. Raises `Refused`, and stops what has started."""
         try:
             options = ["--flush", str(FLUSH), *self._options.ticking]
-            slave = await self._start("slave", knobs, "--listen", "127.0.0.1:0", "--out", str(folders["s"]), *options)
+            robot = [] if self._options.robot is None else ["--robot", self._options.robot]
+            slave = await self._start("slave", knobs, "--listen", "127.0.0.1:0", "--out", str(folders["s"]), *options,
+                                      *robot)
             self._ports["slave"] = await slave.port()
             await self.start_channel(knobs, port=0)
             to = f"127.0.0.1:{self._ports['channel']}"
@@ -123,12 +132,43 @@ class Children:
             self._lose(child.name, str(sentence or child.failed(code, errors)))
 
 
+UNITS = {"kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12}
+
+
+def size_of(text: str) -> float:
+    """Read a size as it is typed, in bytes. Raises `Refused`.
+
+    >>> size_of("2GB"), size_of("15.5 MB")
+    (2000000000.0, 15500000.0)
+    """
+    number, unit = text.strip()[:-2], text.strip()[-2:]
+    try:
+        size = float(number) * UNITS[unit]
+    except (KeyError, ValueError):
+        size = 0.0
+    if not LEAST_KEPT <= size < inf:
+        raise Refused(f"--keep takes a size of at least {size_text(LEAST_KEPT)}, as 2GB or 500MB, not {text[:40]!r}")
+    return size
+
+
+def size_text(size: float) -> str:
+    """Write a number of bytes for people.
+
+    >>> size_text(820e6), size_text(2e9), size_text(0)
+    ('820 MB', '2 GB', '0 kB')
+    """
+    unit = next((name for name in reversed(UNITS) if size >= UNITS[name]), "kB")
+    return f"{size / UNITS[unit]:.3g} {unit}"
+
+
 INDEX = "page.json"
 VERSION = 1
 
 
 class PagePart(NamedTuple):
-    """Part of a session, with its own records. `k`: first tick; `why`: start, turn, again, or lost (a process ended).
+    """Part of a session, with its own records. `k`: its first tick.
+
+    `why`: start, turn, again, lost (a process ended), or idle (nobody had steered, and nothing was written).
     """
 
     folder: str
@@ -140,14 +180,17 @@ class PagePart(NamedTuple):
 class PageParts:
     """Parts of a session, a folder for each switch, and their index. `about`: its scene, seed and command.
 
+    `keep`: bytes that all parts may have; see `drop_oldest`.
+
         runs/SCENE-page-N/page.json      list of the parts, with the knobs of each
         runs/SCENE-page-N/01/master      record of the master in the first part
         runs/SCENE-page-N/01/slave
         runs/SCENE-page-N/02/...
     """
 
-    def __init__(self, folder: Path, about: Mapping[str, Any]) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, about: Mapping[str, Any], keep: float = inf) -> None:
+        self.folder, self.keep = folder, keep
+        self._begun = 0  # parts, those that were removed too
         self._about = {"version": VERSION, **about}
         self._parts: list[PagePart] = []
 
@@ -164,14 +207,28 @@ class PageParts:
         """The folders of the two ends, m and s, of the newest part."""
         return self._ends(self._parts[-1])
 
+    def sizes(self) -> list[int]:
+        """Bytes that each part has on the disk, oldest first."""
+        return [sum(file.stat().st_size for file in (self.folder / part.folder).rglob("*") if file.is_file())
+                for part in self._parts]
+
+    def drop_oldest(self) -> str:
+        """Remove the oldest part, which must not be the newest; return its name. Raises `OSError`, and keeps it."""
+        oldest = self._parts[0]
+        shutil.rmtree(self.folder / oldest.folder)
+        del self._parts[0]
+        self._write()
+        return oldest.folder
+
     def begin(self, knobs: Mapping[str, str], k: int, why: str) -> dict[str, Path]:
         """Begin a part at tick k; return the folders that its ends are to make. Raises `OSError`, and begins none."""
-        self._parts.append(PagePart(f"{len(self._parts) + 1:02d}", dict(knobs), k, why))
+        self._parts.append(PagePart(f"{self._begun + 1:02d}", dict(knobs), k, why))
         try:
             self._write()
         except OSError:
             self._parts.pop()
             raise
+        self._begun += 1
         return self.newest
 
     def correct_start(self, k: int) -> None:

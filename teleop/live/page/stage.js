@@ -14,6 +14,36 @@ function text(what, x, y, colour, align = "left", bold = false) {
   g.fillStyle = colour;
   g.fillText(what, x, y);
 }
+// Labels are drawn last, each at the first place near its own that neither a body nor a label before it has.
+const MOVES = [0, -20, 20, -40, 40, -60, 60].flatMap(dy => [0, -50, 50, -100, 100].map(dx => [dx, dy])).sort((a, b) => Math.hypot(...a) - Math.hypot(...b));
+let bodies = [], labels = [], placed = {bodies, labels: []};  // boxes: left, top, right, bottom (px)
+const apart = (a, b) => a[2] <= b[0] || b[2] <= a[0] || a[3] <= b[1] || b[3] <= a[1];
+function label(what, x, y, colour, align = "left", bold = false) {
+  if (what) labels.push({what, x, y, colour, align, bold});
+}
+function drawLabels() {
+  const over = $("invite").getBoundingClientRect(), from = stage.getBoundingClientRect(), floor = H - (hello.axes > 1 ? 4 : 30);
+  if (over.width) bodies.push([over.left - from.left, over.top - from.top, over.right - from.left, over.bottom - from.top]);
+  placed = {bodies, labels: []};
+  for (const {what, x, y, colour, align, bold} of labels) {
+    g.font = (bold ? "600 " : "") + "14px system-ui, sans-serif";
+    const w = g.measureText(what).width, left = x - ({left: 0, center: w / 2, right: w})[align];
+    const boxes = MOVES.map(([dx, dy]) => [clip(left + dx, 4, W - w - 4), clip(y + dy, 16, floor)]).map(([a, b]) => [a, b - 13, a + w, b + 4]);
+    const box = boxes.find(one => [...bodies, ...placed.labels].every(other => apart(one, other))) || boxes[0];
+    placed.labels.push(box);
+    text(what, box[0], box[3] - 4, colour, "left", bold);
+  }
+  bodies = [];
+  labels = [];
+}
+function invite(p) {  // beside the wall, in the free space that the hand begins in
+  const at = $("invite").style, flat = hello.axes > 1, wx = hello.wall == null ? W : p.s.ox + hello.wall * p.scale, right = wx > W / 2;
+  if ($("invite").hidden) return;
+  at.left = right || flat ? "14px" : wx + 12 + "px";
+  at.width = flat ? "auto" : (right ? wx - 26 : W - wx - 26) + "px";
+  at.bottom = (flat ? Math.max(2, Math.min(30, H / 2 - p.side / 2 - 28)) : 32) + "px";
+  at.textAlign = right ? "right" : "left";
+}
 function line(colour, width, ...points) {
   g.strokeStyle = colour;
   g.lineWidth = width;
@@ -21,7 +51,7 @@ function line(colour, width, ...points) {
   points.forEach(([x, y], i) => i ? g.lineTo(x, y) : g.moveTo(x, y));
   g.stroke();
 }
-function arrow(x, y, fx, fy, colour, label, lo, hi) {  // a force in N that acts at x, y (px)
+function arrow(x, y, fx, fy, colour, name, lo, hi) {  // a force in N that acts at x, y (px)
   const per = .42 * (hello.axes > 1 ? W / 2 : W) / (hello.f_max || 20), size = Math.hypot(fx, fy);
   if (lo != null && hello.axes === 1 && hi - lo > .3) {
     g.globalAlpha = .28;
@@ -37,7 +67,8 @@ function arrow(x, y, fx, fy, colour, label, lo, hi) {  // a force in N that acts
   g.lineTo(ex - 12 * ux + 7 * uy, ey - 12 * uy - 7 * ux);
   g.fillStyle = colour;
   g.fill();
-  text(label, clip((x + ex) / 2, 30, W - 30), hello.axes > 1 ? Math.min(y, ey) - 14 : y - 11, colour, "center", true);
+  bodies.push([Math.min(x, ex) - 5, Math.min(y, ey) - 6, Math.max(x, ex) + 5, Math.max(y, ey) + 6]);
+  label(name, clip((x + ex) / 2, 30, W - 30), hello.axes > 1 ? Math.min(y, ey) - 14 : y - 11, colour, "center", true);
 }
 function spring(a, b, colour) {
   const dx = b[0] - a[0], dy = b[1] - a[1], d = Math.hypot(dx, dy), n = 12, points = [a];
@@ -87,11 +118,11 @@ function linkAndPackets(a, b, dt) {
     }
   }
   const flat = hello.axes > 1, x = flat ? W / 2 : 16, y = flat ? H - 10 : H * .52;
-  if (lost) text(lost + " is lost", x, y, C.bad, flat ? "center" : "left", true);
+  if (lost) label(lost + " is lost", x, y, C.bad, flat ? "center" : "left", true);
   else if (!cut) {
     const one = (flat ? "\u2192 " : "\u2193 ") + ms(row.age[0]), other = (flat ? "\u2190 " : "\u2191 ") + ms(row.age[1]);
-    text(one, flat ? x - 8 : x, y, C.master, flat ? "right" : "left");
-    text(other, flat ? x + 8 : x + 78, y, C.slave);
+    label(one, flat ? x - 8 : x, y, C.master, flat ? "right" : "left");
+    label(other, flat ? x + 8 : x + 78, y, C.slave);
   }
 }
 function wall(p, force) {
@@ -136,7 +167,7 @@ function wall(p, force) {
   line(C.wall, 1.5, [mx, flat ? top : p.m.oy - 34], [mx, flat ? bottom : p.m.oy + 34]);
   g.globalAlpha = 1;
   g.setLineDash([]);
-  text("wall", Math.min(right - 34, x + 12), bottom - 9, C.wall, "left", true);
+  label("wall", Math.min(right - 34, x + 12), bottom - 9, C.wall, "left", true);
 }
 function draw(dt) {
   g.setTransform(R, 0, 0, R, 0, 0);
@@ -149,7 +180,7 @@ function draw(dt) {
     g.strokeStyle = C.line;
     g.lineWidth = 1;
     g.strokeRect(x, y, p.side, p.side);
-    text(name, x, y - 9, colour, "left", true);
+    label(name, x, y - 9, colour, "left", true);
     if (hello.axes > 2) {  // the third axis as a gauge beside its plane
       const gx = x + p.side + 9, z = v => H / 2 - clip(v / view.span, -.5, .5) * p.side, master = at === p.m;
       line(C.rail, 2, [gx, y], [gx, y + p.side]);
@@ -162,8 +193,8 @@ function draw(dt) {
   } else {
     line(C.rail, 2, [16, p.m.oy], [W - 16, p.m.oy]);
     line(C.rail, 2, [16, p.s.oy + 17], [W - 16, p.s.oy + 17]);
-    text("master", 16, p.m.oy - 52, C.master, "left", true);
-    text("slave", 16, p.s.oy - 26, C.slave, "left", true);
+    label("master", 16, p.m.oy - 52, C.master, "left", true);
+    label("slave", 16, p.s.oy - 26, C.slave, "left", true);
     const unit = [.001, .002, .005, .01, .02, .05, .1, .2, .5, 1, 2, 5].find(u => u * p.scale > 60) || 10;
     for (let k = Math.ceil((view.c - view.span / 2) / unit); k * unit <= view.c + view.span / 2; k++) {
       const x = p.s.ox + k * unit * p.scale;
@@ -171,6 +202,8 @@ function draw(dt) {
       text(fixed(k * unit * 1e3, 0) + (k === 0 ? ` m${metre()}` : ""), x, H - 7, C.soft, "center");
     }
   }
+  const half = flat ? 11 : 26;
+  bodies.push([m[0] - 11, m[1] - half, m[0] + 11, m[1] + half], [s[0] - (flat ? 10 : 48), s[1] - 17, s[0] + (flat ? 10 : 0), s[1] + 17]);
   wall(p, num(fe));
   linkAndPackets(flat ? m : [m[0], m[1] + 26], flat ? s : [s[0] - 28, s[1] - 17], dt);
   // The hand: where it wants the handle to be, and by how much the handle lags.
@@ -184,7 +217,8 @@ function draw(dt) {
     g.arc(h[0], h[1], 17, 0, 7);
     g.stroke();
     g.setLineDash([]);
-    text("hand", clip(h[0], 22, W - 22), h[1] + 35, C.ink, "center");
+    bodies.push([h[0] - 19, h[1] - 19, h[0] + 19, h[1] + 19]);
+    label("hand", clip(h[0], 22, W - 22), h[1] + 35, C.ink, "center");
   }
   g.fillStyle = C.master;
   g.beginPath();
@@ -204,4 +238,57 @@ function draw(dt) {
   const lo = num(row.fm_lo), hi = num(row.fm_hi);
   arrow(m[0], flat ? m[1] : m[1] - 42, -row.fm[0], flat ? -row.fm[1] : 0, C.master, fixed(shown.m, 1) + newton(), lo == null ? null : -hi, -lo);
   arrow(flat ? s[0] : s[0] - 50, s[1], -fe[0], flat ? -fe[1] : 0, C.slave, fixed(shown.s, 1) + newton());
+  invite(p);
+  drawLabels();
+  drawArm();
+}
+
+/* -- the robot from the side, by the outlines of its model ----------------------------------------------------------- */
+let pose = null;  // of each outline: two rows of a rotation, and where it is, m; of the slave, and of its picture at the master's joints
+function hull(points) {  // Andrew's monotone chain
+  const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]), half = list => {
+    const chain = [];
+    for (const [x, y] of list) {
+      while (chain.length > 1) {
+        const [a, b] = chain.slice(-2);
+        if ((b[0] - a[0]) * (y - a[1]) > (b[1] - a[1]) * (x - a[0])) break;
+        chain.pop();
+      }
+      chain.push([x, y]);
+    }
+    return chain.slice(0, -1);
+  };
+  return sorted.length < 3 ? sorted : [...half(sorted), ...half(sorted.reverse())];
+}
+function drawArm() {
+  const at = $("arm"), c = at.getContext("2d"), model = hello.arm;
+  if (at.hidden === !!model) { at.hidden = !model; size(); }
+  if (!model || !pose) return;
+  const w = at.width / R, h = at.height / R, k = Math.min(w, h) / model.span, put = ([x, y]) => [w / 2 + (x - model.middle[0]) * k, h / 2 - (y - model.middle[1]) * k];
+  const outline = (points, radius, colour, alpha) => {
+    const [first, ...others] = hull(points.map(put));
+    for (const [wide, paint] of [[2, C.card], [0, colour]]) {
+      c.globalAlpha = alpha;
+      c.strokeStyle = c.fillStyle = paint;
+      c.lineWidth = 2 * radius * k + wide;
+      c.beginPath();
+      c.moveTo(...first);
+      (others.length ? others : [[first[0] + .01, first[1]]]).forEach(one => c.lineTo(...one));
+      c.closePath();
+      if (c.lineWidth) c.stroke();
+      c.fill();
+    }
+    c.globalAlpha = 1;
+  };
+  c.setTransform(R, 0, 0, R, 0, 0);
+  c.clearRect(0, 0, w, h);
+  c.lineCap = c.lineJoin = "round";
+  for (const {points, radius} of model.world) outline(points, radius, C.wall, .25);
+  [...pose].reverse().forEach((at, i, all) => at.forEach(([a, b, d, e, f, n, x, y], j) => {
+    const {points, radius} = model.shapes[j], slave = i === all.length - 1;
+    outline(points.map(([u, v, q]) => [a * u + b * v + d * q + x, e * u + f * v + n * q + y]), radius, slave ? C.slave : C.master, slave ? 1 : .35);
+  }));
+  c.font = "600 14px system-ui, sans-serif";
+  c.fillStyle = C.slave;
+  c.fillText("slave, from the side", 12, 22);
 }

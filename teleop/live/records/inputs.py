@@ -142,6 +142,7 @@ class InputWriter:
                 file.close()
             except OSError as error:
                 self.trouble = self.trouble or f"the record was not closed: {error.strerror or error}"
+        self._files = []
         if self._lost and self.trouble is None:
             self.trouble = (f"{self._lost} messages of the law that came are not in {ARRIVALS}: more than {MOST} came "
                             "for a tick")

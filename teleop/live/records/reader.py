@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 FILE = "record.bin"
+IDLE = "idle.bin"  # the newest rows of an end that writes no more of its run
 OWN = ("k", "late_ns", "seq")  # columns before the end's
 LAW = "law_sha256"  # of a law in a file of the user's own: the first digits of that of its content, as it ran
 LONGEST = 1 << 20  # bytes of a header
@@ -190,13 +191,17 @@ def read_noted(folder: Path) -> tuple[dict[str, Any], EndRecord, RecordColumn, l
 
 
 class GrowingRecord:
-    """The record in `folder`, from its header on, as soon as it is there; a row that is cut off waits for its rest."""
+    """The record in `folder`, from its header on, as soon as it is there; a row that is cut off waits for its rest.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    `name`: `IDLE` for the newest rows of an end that writes no more, whose file becomes shorter each time it is begun
+    anew: what was in it then has been read, or is lost.
+    """
+
+    def __init__(self, folder: Path, name: str = FILE) -> None:
+        self.folder, self.name = folder, name
         self.header: dict[str, Any] | None = None
         self._file: BinaryIO | None = None
-        self._offset = 0
+        self._offset = self._first = 0  # where the next row is; the first
         self._row = Struct("")
         self._last = -1.0
 
@@ -205,6 +210,8 @@ class GrowingRecord:
         if self._file is None and not self._begin():
             return []
         assert self._file is not None
+        if self.name == IDLE and os.fstat(self._file.fileno()).st_size < self._offset:
+            self._offset = self._first
         data = os.pread(self._file.fileno(), MOST, self._offset)
         whole = len(data) - len(data) % self._row.size
         rows: list[Row] = list(self._row.iter_unpack(memoryview(data)[:whole]))
@@ -224,7 +231,7 @@ class GrowingRecord:
     def _begin(self) -> bool:
         """Read the header; False while it is not there, or not as a whole."""
         try:
-            file = open_regular(self.folder / FILE, links=False)
+            file = open_regular(self.folder / self.name, links=False)
         except FileNotFoundError:
             return False
         try:
@@ -235,6 +242,7 @@ class GrowingRecord:
             if cut:
                 return False
             raise
-        self._offset, self._file = file.tell(), file
+        self._first = self._offset = file.tell()
+        self._file = file
         self._row = Struct(f"<{len(self.header['columns'])}d")
         return True

@@ -17,6 +17,7 @@ from typing import Any, BinaryIO
 from teleop.live.records.inputs import InputWriter
 from teleop.live.records.reader import (
     FILE,
+    IDLE,
     OWN,
     header_columns,
     law_entry,
@@ -31,6 +32,7 @@ from teleop.storage.folder import Claim, claim
 from teleop.storage.strict_json import Misshapen, parse_line
 
 EVENTS = "events.jsonl"
+NEWEST = 4000  # rows of the file of the newest rows, which then begins anew
 EVERY = 250  # rows between two writes, at most
 EVERY_NS = 250_000_000  # and so much time, by the scene's clock
 
@@ -51,6 +53,8 @@ class RecordWriter:
         self._pack: Callable[..., bytes] | None = None  # of one row, whose width the first one tells
         self._count = 0
         self._file: BinaryIO | None = None
+        self._header = b""
+        self._idle = False  # the record is whole, and the newest rows go to `IDLE`
         self._all = max(1, min(EVERY, EVERY_NS // scene.dt_ns))
         self._every = min(every, self._all)
         self.inputs = InputWriter(scene, e, folder, self._about)
@@ -58,8 +62,9 @@ class RecordWriter:
     def begin(self, force: ForceSource) -> None:
         """Write the header, before the first tick. `force`: where the end's external force is from."""
         header = {**self._about, "force": force, "columns": header_columns(self._scene, self._e, force)}
+        self._header = json.dumps(header).encode() + b"\n"
         self._file = (self._folder / FILE).open("wb")
-        self._file.write(json.dumps(header).encode() + b"\n")
+        self._file.write(self._header)
         self._file.flush()
         self.inputs.begin(force == "sensor")
 
@@ -70,10 +75,33 @@ class RecordWriter:
         self._rows += self._pack(k, late_ns, played, *row)  # at once: floats kept until the next write cost cache
         self._count += 1
         if self._count % self._every == 0:
+            if self._idle and self._count >= NEWEST:
+                self._begin_idle()
             if self._count // self._every % (self._all // self._every):
                 self._flush_rows()  # of what it was told nobody follows the record
             else:
                 self.flush()
+
+    def idle(self) -> None:
+        """Write no more of the run; the newest rows alone stay to be followed, in the file `IDLE` beside the record."""
+        if not self._idle and self._file is not None:
+            self.close()
+            self._idle, self._file = True, None
+            with suppress(OSError):
+                self._file = (self._folder / IDLE).open("wb")
+            self._begin_idle()
+
+    def _begin_idle(self) -> None:
+        """Begin the file of the newest rows anew; without it nobody can look on, and no more is lost."""
+        self._rows, self._count = bytearray(), 0
+        try:
+            if self._file is not None:
+                self._file.seek(0)
+                self._file.truncate()
+                self._file.write(self._header)
+                self._file.flush()
+        except OSError:
+            self._file = None
 
     def note(self, event: Event) -> None:
         """Write down that something has happened; on the disk at once."""
@@ -109,6 +137,9 @@ class RecordWriter:
         except OSError as error:
             self.trouble = self.trouble or f"the record was not closed: {error.strerror or error}"
         self.inputs.close()
+        if self._idle:
+            with suppress(OSError):
+                (self._folder / IDLE).unlink()
 
 
 def read_events(folder: Path) -> list[dict[str, Any]]:

@@ -73,8 +73,8 @@ class Served:
             yield Browser(socket)
 
     def orders(self, name: str) -> list[dict[str, Any]]:
-        """What an end was told; not where a slave is that it is being brought to."""
-        return [order for order in self.all_orders(name) if order["order"] != "align"]
+        """What an end was told; not where a slave is that it is being brought to, nor that the hand swings."""
+        return [order for order in self.all_orders(name) if order["order"] != "align" and "swing" not in order]
 
     def all_orders(self, name: str) -> list[dict[str, Any]]:
         """All that an end was told."""

@@ -51,8 +51,16 @@ class Fake:
         self.file = (folder / "record.bin").open("wb")
         header = {"end": self.name[0], "dt_ns": 1_000_000, "axes": 1, "scene": "hard_wall", "knobs": self.knobs,
                   "seed": 0, "mode": "live", "force": "sensor", "columns": COLUMNS[self.name]}
-        self.file.write(json.dumps(header).encode() + b"\n")
+        self.header = json.dumps(header).encode() + b"\n"
+        self.file.write(self.header)
         self.file.flush()
+
+    def idle(self) -> None:
+        """The record ends; the newest rows go to another file."""
+        self.file.close()
+        folder = Path(self.file.name).parent
+        self.file = (folder / "idle.bin").open("wb")
+        self.file.write(self.header)
 
     def tick(self) -> None:
         """Write the rows that are due, and say how it goes four times a second."""
@@ -82,6 +90,8 @@ class Fake:
                 self.told.flush()
             if order["order"] == "hand" and order["to"] is not None:
                 self.at = order["to"][0]
+            if order["order"] == "idle" and not self.file.name.endswith("idle.bin"):
+                self.idle()
             if order["order"] == "turn":
                 self.turn(order)
         return bool(data)

@@ -48,13 +48,13 @@ def test_what_is_killed_comes_back_the_channel_in_a_turn_and_an_end_in_a_part_of
             kill("channel")
             await browser.told("the channel is lost")
             await browser.told("the channel is back")
-            await browser.told("switched")
+            await browser.told("Switched to")
             await browser.until("status", lambda status: status["lost"] is None)
             await browser.until("rows")
             [order] = page.orders("master")
             assert (order["order"], order["again"], order["align"]) == ("turn", False, [0.0])
             await browser.say("turn", law="direct")
-            await browser.told("switched")
+            await browser.told("Switched to")
             for name in ("master", "slave"):
                 kill(name)
                 await browser.told(f"the {name} is lost")
@@ -106,7 +106,7 @@ def test_a_law_is_judged_anew_after_a_turn_and_a_turn_is_no_warning_and_on_a_ful
                                            "cause": cause.name})
             await browser.told("silence")
             assert [message["text"] for message in browser.got if message["type"] == "said"] == [
-                "the master: the force is on its way to zero, silence: no fresh packet for 0.2 s"]
+                "Master: the force falls to zero, silence: no fresh packet for 0.2 s"]
             with monkeypatch.context() as disk:
                 disk.setattr("teleop.live.page.session.write_document", full)
                 await browser.say("turn", law="direct")
@@ -117,7 +117,7 @@ def test_a_law_is_judged_anew_after_a_turn_and_a_turn_is_no_warning_and_on_a_ful
             page.page._shaking.sentence = lambda *_: None  # type: ignore[method-assign]  # in place of the rule
             await browser.until("status", lambda status: status["shakes"])
             await browser.say("turn", law="pp")
-            await browser.told("switched: law pp")
+            await browser.told("Switched to pp, 50 ms each way")
             await browser.until("status", lambda status: not status["shakes"])
 
     assert [part["folder"] for part in served(scenario).index()["parts"]] == ["01", "02"]

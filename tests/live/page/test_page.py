@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Callable
 
 import pytest
@@ -74,7 +75,7 @@ def test_a_turn_tells_all_three_each_part_has_its_folder_and_again_begins_at_the
             told = -1
             while told < (told := len(page.all_orders("master"))):  # it ends, or the test does
                 await asyncio.sleep(MEETS)
-            turn, *aligns = page.all_orders("master")
+            turn, *aligns = [order for order in page.all_orders("master") if "swing" not in order]
             assert {each["order"] for each in aligns} == {"align"}
             assert all(each["to"] == [0.0] for each in aligns)
             assert not [each for each in page.all_orders("slave") if each["order"] == "align"]
@@ -84,7 +85,7 @@ def test_a_turn_tells_all_three_each_part_has_its_folder_and_again_begins_at_the
             assert turn["align"] == [0.0]
             assert page.orders("slave")[0]["out"] == str(page.folder / "02" / "slave")
             await browser.say("again")
-            await browser.told("started again")
+            await browser.told("Started again")
             again = page.orders("master")[-1]
             assert (again["order"], again["again"], again["align"]) == ("turn", True, None)
 
@@ -137,5 +138,82 @@ def test_the_clutch_is_open_while_it_is_held_and_a_turn_waits_for_it(served: Ser
         for name in ("master", "slave"):
             orders = [(order["order"], order.get("open")) for order in page.orders(name)]
             assert orders == [("clutch", True), ("clutch", False), ("turn", None)]
+
+    served(scenario)
+
+
+def test_the_hand_swings_in_free_space_until_somebody_moves_it_and_again_when_it_is_started_again(
+    served: Serve
+) -> None:
+    """A page began pressed against the wall and still, and the first drag pulled it out of there."""
+    swing = {"order": "hand", "to": [0.0], "swing": [pytest.approx(0.018)]}
+
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await page.until(lambda: page.all_orders("master") == [swing])
+            await browser.say("turn", law="direct")
+            await page.until(lambda: page.all_orders("master")[-1] == swing)
+            await browser.say("hand", to=[0.02])
+            await browser.until("rows", lambda rows: rows["xm"] == [0.02])
+            await browser.say("hand", to=None)
+            await page.until(lambda: page.orders("master")[-1] == {"order": "hand", "to": None})
+            await browser.say("again")
+            await page.until(lambda: page.all_orders("master")[-1] == swing)
+
+    served(scenario)
+
+
+def test_while_nobody_steers_nothing_is_written_and_the_next_to_steer_begins_a_part(
+    served: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what is written, and what the disk has left, is told."""
+    monkeypatch.setattr("teleop.live.page.page.IDLE", 0.5)
+
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            told = await browser.told("nothing more is written")
+            assert told["level"] == "info"
+            status = await browser.until("status", lambda status: status["idle"] and status["written"] > 0)
+            assert 0 < status["free"] < 1e15
+            assert (page.folder / "01" / "master" / "idle.bin").exists()
+            size = (page.folder / "01" / "master" / "record.bin").stat().st_size
+            t = (await browser.until("rows"))["t"]
+            await browser.until("rows", lambda rows: rows["t"] > t + 0.5)  # it is shown all the same
+            assert (page.folder / "01" / "master" / "record.bin").stat().st_size == size
+            assert page.orders("master") == page.orders("slave") == [{"order": "idle"}]
+            await browser.say("hand", to=[0.01])
+            await browser.told("Switched to wave")
+            await browser.until("status", lambda status: not status["idle"])
+            await browser.until("rows", lambda rows: rows["part"] == "02" and rows["xm"] == [0.01])
+
+    assert [part["why"] for part in served(scenario).index()["parts"]][:2] == ["start", "idle"]
+
+
+def test_of_a_session_that_is_bounded_the_oldest_parts_are_removed_and_it_is_told(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            page.page._parts.keep = 1e6
+            told = await browser.told("is removed")
+            assert told["text"].startswith("Part 01 is removed: the parts had 1")
+            assert told["text"].endswith("and --keep is 1 MB")
+            assert not (page.folder / "01").exists()
+            await browser.until("rows")
+
+    folders = [part["folder"] for part in served(scenario).index()["parts"]]
+    assert len(folders) >= 2
+    assert folders[0] > "01"
+
+
+def test_ticks_that_an_end_skipped_were_shown_as_loss_of_a_link_that_loses_nothing(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            for end, loss, skipped in (("m", 0.013, 0.002), ("s", 0.002, 0.01)):
+                page.page._live[end] = {"end": end, "loss": loss, "skipped": skipped}
+            status = json.loads(page.page._status())
+            assert status["loss"] == pytest.approx(0.003)  # of the slave's packets 1.3 % are missing, 1 % it skipped
+            assert status["skipped"] == 0.01
 
     served(scenario)

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from teleop import load_result, load_scene
-from teleop.live.page.session import PageParts
+from teleop.errors import Refused
+from teleop.live.page.session import PageParts, size_of
 from tests.live.conftest import Pair
 
 pytestmark = pytest.mark.live
@@ -59,3 +60,23 @@ def test_ctrl_c_meanwhile_leaves_the_rest_for_later(parts: PageParts) -> None:
     assert parts.merge_all("hard_wall", ["teleop"], said.append, lambda: True) == []
     [sentence] = said
     assert f"teleop report {parts.folder / '01'}" in sentence
+
+
+def test_the_oldest_part_goes_first_and_no_name_is_given_twice(tmp_path: Path) -> None:
+    parts = PageParts(tmp_path, {"scene": "hard_wall"}, keep=size_of("10MB"))
+    for i in range(3):
+        for folder in parts.begin({}, 100 * i, "turn").values():
+            folder.mkdir(parents=True)
+            (folder / "record.bin").write_bytes(bytes(1000 * (i + 1)))
+    assert parts.sizes() == [2000, 4000, 6000]
+    assert parts.drop_oldest() == "01"
+    assert not (tmp_path / "01").exists()
+    assert parts.begin({}, 300, "turn")["m"] == tmp_path / "04" / "master"
+    assert [part["folder"] for part in json.loads((tmp_path / "page.json").read_text())["parts"]] == ["02", "03", "04"]
+
+
+def test_a_size_is_read_as_it_is_typed() -> None:
+    assert [size_of(typed) for typed in ("2GB", "0.5 GB", "10MB", "20000kB")] == [2e9, 5e8, 1e7, 2e7]
+    for typed in ("2", "GB", "2gb", "-1GB", "nanGB", "1e999GB", "9MB", ""):
+        with pytest.raises(Refused, match="a size of at least 10 MB"):
+            size_of(typed)

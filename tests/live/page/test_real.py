@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ TYPED = [sys.executable, "-m", "teleop", "demo", "hard_wall", "--page", "--json"
 
 def environment(**more: str) -> dict[str, str]:
     own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    return {**own, "PYTHONPATH": str(ROOT), **more}
+    return {**own, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": mkdtemp(), **more}  # no page's port is another's
 
 
 def shown(folder: Path, look: Callable[[Browser], Awaitable[None]], *words: str) -> dict[str, Any]:

@@ -23,9 +23,10 @@ from teleop.live.page.command import page_bytes
 from teleop.live.page.server import Requests
 
 LAWS = {
-    "direct": "Position forth, measured force back, nothing in between.",
     "wave": "Wave variables with a spring-damper slave solved in closed form.",
+    "direct": "Position forth, measured force back, nothing in between.",
 }
+GROUPS = {"wave": "Passive over any link", "direct": "No claim over a delay"}
 SLIDERS = [
     {"name": "delay", "label": "Delay, each way", "unit": "s", "low": 0.0, "high": 0.3, "log": False},
     {"name": "jitter", "label": "Jitter", "unit": "s", "low": 0.0, "high": 0.05, "log": False},
@@ -40,6 +41,7 @@ class World:
 
     def __init__(self, axes: int, knobs: dict[str, Any]) -> None:
         self.axes, self.knobs, self.t, self.clutch = axes, knobs, 0.0, False
+        self.part, self.kind = "01", "link"
         self.again()
 
     def again(self) -> None:
@@ -77,7 +79,8 @@ class World:
         delay = max(DT, self.knobs["delay"]) + random.random() * self.knobs["jitter"]
         hand = None if self.steered and self.target is None else [*self.xm]
         fe = [*self.fe]
-        return {"t": self.t, "xm": [*self.xm], "xs": [*self.xs], "hand": hand, "fm": [*self.fm], "fs": fe,
+        return {"t": self.t, "part": self.part, "kind": None if self.clutch else self.kind,
+                "xm": [*self.xm], "xs": [*self.xs], "hand": hand, "fm": [*self.fm], "fs": fe,
                 "fh": [0.0] * self.axes, "fe": fe, "fm_lo": lo, "fm_hi": hi, "fs_lo": fe, "fs_hi": fe,
                 "E": None if self.clutch else 1e-3 * self.t,
                 "queue": [self.knobs["jitter"], self.knobs["jitter"] / 2], "age": [delay, delay], "gain": [1.0, 1.0]}
@@ -115,7 +118,8 @@ class Mock:
                   "walls": [WALL, *[None] * (n - 1)], "caps": [F_MAX] * n,
                   "spans": [0.12, *[0.4] * (n - 1)]} if n > 3 else {}
         return {**joints, "type": "hello", "scene": "hard_wall", "axes": n, "dt": DT, "law": self.knobs["law"],
-                "laws": [{"name": name, "says": says} for name, says in LAWS.items()], "gains": "", "notes": [],
+                "laws": [{"name": name, "says": says, "group": GROUPS[name]} for name, says in LAWS.items()],
+                "gains": f"{self.knobs['law']}(b=20)", "notes": [],
                 "wall": WALL, "f_max": F_MAX,
                 "sliders": [{**one, "value": self.knobs[one["name"]]} for one in SLIDERS], "span": 0.12,
                 "link": f"delay({self.knobs['delay']:g})", "energy": self.energy}
@@ -171,6 +175,7 @@ class Mock:
                 self.knobs.update({name: value for name, value in message.items() if name != "type"})
                 self.world.settle()
                 self.parts += 1
+                self.world.part = f"{self.parts:02d}"
                 self.send(self.hello())
                 self.say("info", f"{self.knobs['law']}, {1e3 * self.knobs['delay']:.0f} ms: a new session.")
                 if self.knobs["law"] == "direct" and self.knobs["delay"] > 0.05:

@@ -50,9 +50,11 @@ def test_of_six_joints_the_one_that_is_chosen_is_shown_and_dragged_and_the_other
 ) -> None:
     mock = server(axes=6)
     page = tab(mock.url)
-    assert page.evaluate("[...$('axis').options].map(one => one.text).join()") == (
+    assert page.evaluate("[...$('axes').children].map(one => one.firstChild.textContent).join()") == (
         "joint1,joint2,joint3,joint4,joint5,joint6")
-    page.evaluate("$('axis').value = 4, $('axis').onchange({target: $('axis')})")
+    page.click("#axes button:nth-child(5)")
+    assert page.evaluate("[...$('axes').children].map(one => one.ariaPressed).join()") == (
+        "false,false,false,false,true,false")
     assert page.evaluate("view.span") == 0.4, "its own"
     before = page.evaluate("row.all.hand")
     page.drag(page.place("#stage"), (100.0, 0.0))

@@ -26,7 +26,7 @@ def test_a_server_that_is_gone_is_said_and_so_is_its_return(
     t = page.evaluate("row.t")
     server(port=mock.port)
     page.until("document.getElementById('conn').textContent === 'connected'")
-    assert page.text("#said") == "The server is back; this page shows the run again."
+    assert page.text("#said") == "The demo runs again, and this page shows it."
     page.until(f"row.t !== {t} && rows.length > 10")
     assert page.evaluate("target") is None  # it does not take the hand of a run that it did not drag
 
@@ -36,7 +36,7 @@ def test_a_server_that_stands_still_is_not_called_connected(mock: Mock, page: Pa
     mock.silent = True
     page.until("document.getElementById('conn').textContent === 'no answer'")
     assert page.evaluate("document.getElementById('conn').className") == "lost"
-    assert "Nothing comes from the server" in page.text("#said")
+    assert "the connection is cut" in page.text("#said")
     mock.silent = False
     page.until("document.getElementById('conn').textContent === 'connected'")
     assert page.text("#said") == "The server answers again."
@@ -49,7 +49,7 @@ def test_a_part_that_is_lost_is_said_where_one_looks(mock: Mock, page: Page) -> 
     mock.status = {"lost": who, "m": safe, "s": {"gain": 1.0, "cause": None}}
     page.until(f"document.getElementById('conn').textContent === '{who} is lost'")
     assert page.evaluate("document.getElementById('conn').className") == "lost"
-    assert page.text("#gm") == "master SAFE, 0 % of its force: silence: nothing heard for 0.2 s"
+    assert page.text("#gm") == "Master’s force 0 %: silence: nothing heard for 0.2 s"
     mock.status = {"lost": None, "m": {"gain": 1.0, "cause": None}, "s": {"gain": 1.0, "cause": None}}
     page.until("document.getElementById('conn').textContent === 'connected'")
     page.until("document.getElementById('gm').className === ''")

@@ -52,7 +52,7 @@ def test_a_slider_asks_for_one_turn_when_it_rests_by_keyboard_and_by_mouse_on_a_
 def test_a_law_is_switched_on_the_running_system_and_what_shakes_is_called_so(mock: Mock, page: Page) -> None:
     assert page.text("#says") == LAWS["wave"]
     page.evaluate("document.getElementById('law').focus()")
-    page.key("ArrowUp")
+    page.key("ArrowDown")
     until(lambda: mock.of("turn") == [{"type": "turn", "law": "direct"}])
     page.until("hello.law === 'direct'")
     assert page.text("#says") == LAWS["direct"]
