@@ -68,8 +68,7 @@ class SideView:
                  if int(self._model.model.geom_bodyid[n]) == 0 and self._model.model.geom_type[n] not in self._flat]
         return {"shapes": [{"radius": radius, "points": np.round(at, 5).tolist()} for radius, at in points],
                 "world": [{"radius": radius, "points": self._seen(n, at).round(5).tolist()} for n, radius, at in world],
-                "middle": ((low + high) / 2.0).round(5).tolist(), "span": float(ROOM * max(high - low)),
-                "ghost": self._model.tip is None}
+                "middle": ((low + high) / 2.0).round(5).tolist(), "span": float(ROOM * max(high - low))}
 
     def poses(self, m: Sequence[float], s: Sequence[float]) -> list[list[list[float]]]:
         """Poses of all outlines, as six numbers each: two rows of a rotation and the place in the picture.

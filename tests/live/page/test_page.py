@@ -176,7 +176,7 @@ def test_while_nobody_steers_nothing_is_written_and_the_next_to_steer_begins_a_p
             assert told["level"] == "info"
             status = await browser.until("status", lambda status: status["idle"] and status["written"] > 0)
             assert 0 < status["free"] < 1e15
-            assert (page.folder / "01" / "master" / "idle.bin").exists()
+            await page.until((page.folder / "01" / "master" / "idle.bin").exists)
             size = (page.folder / "01" / "master" / "record.bin").stat().st_size
             t = (await browser.until("rows"))["t"]
             await browser.until("rows", lambda rows: rows["t"] > t + 0.5)  # it is shown all the same

@@ -133,7 +133,9 @@ def test_a_quiet_visit_leaves_no_console_message_and_strips_draw_the_same_as_the
       const last = rows[rows.length - 1].t;
       rows[rows.length - 1] = {...rows[rows.length - 1], t: edge};
       one.whole = true;
+      paused = edge;
       drawStrip(one);
+      paused = null;
       rows = keep;
       const whole = read();
       one.whole = true;
@@ -148,8 +150,88 @@ def test_the_view_is_as_wide_as_before_once_what_flew_away_is_back(
     server: Callable[..., Mock], tab: Callable[..., Page]
 ) -> None:
     """A law that shook threw the slave a metre away; the handle is not to be drawn ten times smaller ever after."""
-    page = tab(server(ran=0.0).url)
+    mock = server(ran=0.0)
+    mock.world.steered = True  # it stays where it is, however late this looks
+    page = tab(mock.url)
     page.evaluate("take({...row, t: row.t + 1e-6, xs: [-1]})")
     assert page.evaluate("view.span") > 1.0
     page.evaluate("rows.splice(0, rows.length - 1), rows[0].t -= 30, 0")
     page.until("view.span === hello.span")
+
+
+SIZES = {"wide": {"width": 1280, "height": 1000}, "phone": {"width": 390, "height": 844, "scale": 2.0, "mobile": True},
+         "200 %": {"width": 640, "height": 500, "scale": 2.0}}
+UNDER = """((span) => {
+  const found = [];
+  for (let i = 0; i <= 40; i++) for (const lag of [-.6, -.1, 0, .02, .3, .7]) {
+    const at = view.c + (i / 40 - .5) * span, one = n => Array(hello.axes).fill(n);
+    row = {...row, hand: one(at), xm: one(at - lag * .03), xs: one(at - lag * .02), fm: one(9 * lag), fe: one(7 * lag)};
+    draw(0);
+    const box = placed.labels, all = [...placed.bodies, ...box];
+    for (const a of box) for (const b of all) if (a !== b && !apart(a, b)) found.push([i, lag, a, b]);
+    for (const a of box) if (a[0] < 0 || a[2] > W || a[1] < 0 || a[3] > H) found.push([i, lag, a]);
+  }
+  return found;
+})"""
+
+
+@pytest.mark.parametrize("axes", [1, 3])
+def test_no_label_is_under_a_body_or_another_label_wherever_the_hand_is(
+    axes: int, server: Callable[..., Mock], tab: Callable[..., Page]
+) -> None:
+    """On a phone the wall's name stood under the invitation, and the slave's force under the slave."""
+    url = server(axes=axes).url
+    for name, size in SIZES.items():
+        page = tab(url, **size)
+        page.evaluate("socket.onmessage = null")
+        assert page.evaluate(f"{UNDER}(.9 * view.span).slice(0, 3)") == [], name
+        page.close()
+
+
+def test_the_invitation_stands_beside_the_wall_in_the_free_space_and_not_on_it(
+    mock: Mock, tab: Callable[..., Page]
+) -> None:
+    for name, size in SIZES.items():
+        page = tab(mock.url, **size)
+        page.until("$('invite').style.width")
+        left, right, bottom = page.evaluate("""((a, b) => [b.left - a.left, b.right - a.left, b.bottom - a.top])(
+          stage.getBoundingClientRect(), $('invite').firstChild.getBoundingClientRect())""")
+        wall, height = page.evaluate("[place().s.ox + hello.wall * place().scale, H]")
+        assert 0 <= left < right <= wall, name
+        assert wall - right < 40, f"{name}: beside it"
+        assert bottom < height - 24, f"{name}: above the ruler"
+        page.close()
+
+
+def test_buttons_are_called_without_their_keys_and_sliders_say_their_numbers_with_the_unit(page: Page) -> None:
+    tree = page.call("Accessibility.getFullAXTree")["nodes"]
+    names = [node["name"]["value"] for node in tree if node.get("role", {}).get("value") == "button"]
+    assert names == ["Clutch (hold)", "Start again", "Let go", "Pause"]
+    shortcuts = "[...document.querySelectorAll('button')].map(one => one.getAttribute('aria-keyshortcuts'))"
+    assert page.evaluate(shortcuts) == ["C", "R", "Escape", "P"]
+    page.evaluate("$('k_delay').show(.15), $('k_k_e').show(5e3)")
+    assert page.evaluate("['k_delay', 'k_k_e'].map(id => $(id).getAttribute('aria-valuetext'))") == ["150 ms", "5 kN/m"]
+
+
+def test_skipped_ticks_the_disk_the_clutch_and_a_switch_have_their_words(mock: Mock, page: Page) -> None:
+    """Beside a slider at 0 % stood "loss 0.2 to 1.3 %": ticks that an end had skipped."""
+    gone = {"gain": 0.0, "cause": "the session is over: the clutch is open"}
+    mock.status = {"lost": None, "m": gone, "s": gone, "skipped": 0.013, "written": 28.5e6, "free": 77.9e9,
+                   "idle": False}
+    page.until("$('skipped').textContent === 'ticks skipped by this machine 1.3 %'")
+    assert page.text("#loss") == "loss 0 %"
+    assert page.text("#disk") == "28.5 MB written, 77.9 GB left on the disk"
+    mock.status["idle"] = True
+    page.until("$('disk').textContent.startsWith('nothing is being written: nobody steers; ')")
+    mock.world.clutch = True
+    page.until("$('gm').textContent === 'Clutch open: both forces off' && $('gs').textContent === ''")
+    mock.world.clutch = False
+    mock.status["switching"] = True
+    page.until("$('gm').textContent === 'Switching...'")
+
+
+def test_the_laws_stand_in_their_groups_and_the_gains_under_the_name(page: Page) -> None:
+    assert page.evaluate("[...$('law').querySelectorAll('optgroup')].map(one => one.label)") == [
+        "Passive over any link", "No claim over a delay"]
+    assert page.text("#gains") == "wave(b=20)"
+    assert page.evaluate("$('gains').getBoundingClientRect().top >= $('law').getBoundingClientRect().bottom")

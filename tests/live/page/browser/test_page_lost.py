@@ -98,4 +98,10 @@ def test_a_browser_without_javascript_is_told_so(mock: Mock, browser: Browser) -
     at = page.call("DOM.querySelector", nodeId=document["root"]["nodeId"], selector="noscript p")["nodeId"]
     assert page.call("DOM.getBoxModel", nodeId=at)["model"]["height"] > 20
     assert "needs JavaScript" in page.call("DOM.getOuterHTML", nodeId=at)["outerHTML"]
+    for box in page.call("DOM.querySelectorAll", nodeId=document["root"]["nodeId"],
+                         selector=".card, button, canvas, footer")["nodeIds"]:
+        html = page.call("DOM.getOuterHTML", nodeId=box)["outerHTML"]
+        if "needs JavaScript" not in html:
+            with pytest.raises(AssertionError):  # it has no box
+                page.call("DOM.getBoxModel", nodeId=box)
     page.close()
