@@ -23,6 +23,7 @@ FLOORS: tuple[dict[str, str], ...] = (
      "export": "for other tools", "completion": "of what is typed"},
     {"studies": "laws side by side", "checks": "check_law"},
     {"analysis": "stability, Z-width", "sweeps": "runs of one scene", "live": "clocks and sockets"},
+    {"emit": "an end as C"},
     {"terminal": "options and tables", "protocol": "bytes in, force out"},
     {"simulation": "the tick"},
     {"scene": "what a scene is"},

@@ -32,6 +32,7 @@ HOME = {
     "reproduce": "teleop.studies.reproduce.command:command",
     "list": "teleop.terminal.listing:command",
     "manifest": "teleop.export.manifest:command",
+    "emit": "teleop.emit.command:command",
     "show": "teleop.terminal.run:show_command",
     "check": "teleop.live.devices.command:command",
     "doctor": "teleop.doctor.command:command",

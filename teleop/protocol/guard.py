@@ -34,9 +34,9 @@ from typing import NamedTuple
 from teleop.protocol.states import Cause, Reason
 from teleop.scene.axes import FORCE_UNIT
 from teleop.scene.scene import Scene
-from teleop.stages.force_cap import LONGEST, cap, caps
-from teleop.stages.velocity_cap import limit_speed
-from teleop.stages.watchdog import Watchdog, late_step
+from teleop.stages.force_cap import LONGEST, CapLimits, cap, caps
+from teleop.stages.velocity_cap import SpeedLimits, limit_speed
+from teleop.stages.watchdog import Watchdog, WatchdogLimits, late_step
 
 DEADLINE = 0.15
 """Seconds, of the simulated devices, and the default of a device watchdog.
@@ -84,9 +84,76 @@ UNNAMED = Watchdog(timeout=0.8)
 """What a live end has where the scene names no watchdog."""
 
 _NEVER = 1 << 62  # ticks
+CAUSES = tuple(Cause)
+STALL, SILENCE, AGE, NO_ANSWER, NEW_SESSION = map(CAUSES.index, (
+    Cause.STALL, Cause.SILENCE, Cause.AGE, Cause.NO_ANSWER, Cause.NEW_SESSION))
 _QUIET = frozenset((Cause.SILENCE, Cause.NO_ANSWER, Cause.SESSION_OVER, Cause.ORDERED, Cause.ASKED_AGAIN,
                     Cause.NEW_SESSION))  # no event when safe
 MOST_EVENTS = 10_000  # kept
+
+
+class GuardState(NamedTuple):
+    """The guard of one end between two ticks."""
+
+    gain: float
+    cause: int  # of the safe state it is in, its place in `CAUSES`; -1 outside it
+    k: int  # the last tick that ran
+    heard: int  # when a packet came last; silence counts from the start
+    quiet_ticks: float
+    waits: bool  # for the first packet since the cause was over: from that one on the quiet ticks count
+    old_k: int  # the last tick at which a message was too old
+    shareless: int  # own ticks since the gain was above 0
+
+
+def guard_begin(k: int, every: int) -> GuardState:
+    """The guard of a session that begins at tick `k`: no force until packets have come for a while."""
+    return GuardState(0.0, NEW_SESSION, k - every, k - every, 0.0, True, -_NEVER, 0)
+
+
+def guard_step(
+    c: WatchdogLimits, s: GuardState, dt: float, every: int, lapses: float, k: int, got: bool, arrived: int, age: int,
+    unheard: float, trouble: int, over: int,
+) -> tuple[GuardState, int]:
+    """The guard at tick `k`, and the cause that it found at this one, -1 for none; see `ForceGuard.step`.
+
+    `trouble` and `over` are causes by their places, or -1. `lapses`: own ticks from one that ran to the next by which a
+    device has let its force go by itself.
+    """
+    passed = (k - s.k) // every
+    gain = 0.0 if passed > lapses else s.gain
+    heard, waits, old_k, timeout_ticks = s.heard, s.waits, s.old_k, c.timeout_ticks
+    if got and age / every > c.age:
+        old_k = k
+    elif got:
+        heard = max(heard, min(k, arrived))
+        waits = waits and (k - heard) // every > timeout_ticks
+    silent, not_heard, found = (k - heard) // every, unheard > timeout_ticks * dt, trouble
+    if found < 0 and (passed - 1 > timeout_ticks or passed > lapses):
+        found = STALL
+    elif found < 0 and over >= 0:
+        found = over
+    elif found < 0 and silent > timeout_ticks:
+        found = AGE if (k - old_k) // every <= timeout_ticks else SILENCE
+    elif found < 0 and not_heard and (s.cause < 0 or s.cause == NO_ANSWER):
+        found = NO_ANSWER
+    cause = found if found >= 0 else s.cause
+    waits = waits or found >= 0
+    if waits:
+        silent = _NEVER
+    quiet = s.quiet_ticks
+    if not_heard:  # it is not released before the other end hears this one; what came has settled it all the same
+        quiet = min(quiet, c.settle + silent - passed)
+    gain, quiet = late_step(c, gain, quiet, silent, passed)
+    shareless = 0 if gain > 0.0 else s.shareless + passed
+    if quiet - silent > c.settle:
+        cause = -1
+    return GuardState(gain, cause, k, heard, quiet, waits, old_k, shareless), found
+
+
+def guard_fall(gain: float, step: float, passed: int, lapses: float) -> float:
+    """The gain `passed` own ticks later with the run over: on its way to 0 along the ramp."""
+    step = passed * step
+    return gain - step if gain > step and passed <= lapses else 0.0
 
 
 class Event(NamedTuple):
@@ -148,8 +215,7 @@ class ForceGuard:
         """The law begins anew at tick `k`: from zero force, and only after packets have come for a while."""
         self.tell(k, "session", why)
         if self._c is not None:
-            self._k = self._heard = k - self._every
-            self.gain, self._quiet_ticks, self._waits = 0.0, 0.0, True
+            self.gain, _, self._k, self._heard, self._quiet_ticks, self._waits, _, _ = guard_begin(k, self._every)
             self._enter(k, Reason(Cause.NEW_SESSION, "a new session"))
 
     @property
@@ -181,7 +247,8 @@ class ForceGuard:
         if self._c is None or self._dog is None:
             return 1.0
         every = self._every
-        passed, self._k = (k - self._k) // every, k
+        k_before, self._k = self._k, k
+        passed = (k - k_before) // every
         if got and passed == 1 and self.gain == 1.0 and not self.safe and trouble is None and over is None:
             heard, quiet = self._heard, self._quiet_ticks + 1.0
             newest = k if arrived is None or arrived > k else arrived
@@ -193,70 +260,41 @@ class ForceGuard:
                     and quiet - silent > settle):  # nearly always: full gain stays so
                 self._heard, self._quiet_ticks, self._waits, self.lapsed = heard, quiet, False, False
                 return 1.0
-        timeout_ticks = self._c.timeout_ticks
+        before = GuardState(self.gain, -1 if self.reason is None else CAUSES.index(self.reason.cause), k_before,
+                            self._heard, self._quiet_ticks, self._waits, self._old_k, self._shareless)
+        after, found = guard_step(
+            self._c, before, self._dt, every, self._lapses, k, got, k if arrived is None else arrived, age, unheard,
+            -1 if trouble is None else CAUSES.index(trouble.cause), -1 if over is None else CAUSES.index(over.cause))
+        self.gain, _, _, self._heard, self._quiet_ticks, self._waits, self._old_k, self._shareless = after
         self.lapsed = passed > self._lapses
-        if self.lapsed:
-            self.gain = 0.0
-        if got:
-            self._hear(k, arrived, age)
-        silent, not_heard = (k - self._heard) // self._every, unheard > timeout_ticks * self._dt
-        if trouble is None:
-            trouble = self._trouble(k, passed - 1, silent, not_heard, over)
-        if trouble is not None:
-            self._enter(k, trouble)
-            self._waits = True
-        if self._waits:
-            silent = _NEVER
-        c, quiet = self._c, self._quiet_ticks
-        if not_heard:  # it is not released before the other end hears this one; what came has settled it all the same
-            quiet = min(quiet, c.settle + silent - passed)
-        self.gain, self._quiet_ticks = late_step(c, self.gain, quiet, silent, passed)
-        self._shareless = 0 if self.gain > 0.0 else self._shareless + passed
-        if self.safe and self._quiet_ticks - silent > c.settle:
+        if got and self._old_k == k:
+            self.old, self.oldest = self.old + 1, max(self.oldest, age / every * self._dt)
+        if found >= 0:
+            self._enter(k, trouble or self._reason(CAUSES[found], passed - 1, over))
+        if self.safe and after.cause < 0:
             self.safe, self.reason = False, None
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")
         return self.gain
 
-    def _hear(self, k: int, arrived: int | None, age: int) -> None:
-        """A message is there at tick k, sent `age` ticks ago; what `arrived` is, see `step`."""
-        assert self._c is not None
-        if age / self._every > self._c.age:
-            self._old_k, self.old = k, self.old + 1
-            self.oldest = max(self.oldest, age / self._every * self._dt)
-            return
-        self._heard = max(self._heard, k if arrived is None else min(k, arrived))
-        self._waits = self._waits and (k - self._heard) // self._every > self._c.timeout_ticks
-
-    def _trouble(self, k: int, missed: int, silent: int, not_heard: bool, over: Reason | None) -> Reason | None:
-        """Reason for which this end has to be safe though its device does well; None if it need not.
-
-        `missed`: own ticks that were skipped before this one; `silent`: own ticks since a packet came; `not_heard`:
-        does the other end say that it hears nothing of this one; `over`: why the session is over, if it is.
-        """
-        assert self._c is not None
+    def _reason(self, cause: Cause, missed: int, over: Reason | None) -> Reason:
+        """The sentence on a cause of link or clock; `missed`: own ticks that were skipped before this one."""
         assert self._dog is not None
-        timeout_ticks = self._c.timeout_ticks
-        if missed > timeout_ticks or self.lapsed:
-            return Reason(Cause.STALL, f"a stall: no tick for {missed * self._dt:.3f} s")
-        if over is not None:
+        if over is not None and cause is over.cause:
             return over
-        if silent > timeout_ticks:
-            if (k - self._old_k) // self._every <= timeout_ticks:
-                return Reason(Cause.AGE, f"age: messages come more than {self._dog.age:g} s after they were sent")
-            return Reason(Cause.SILENCE, f"silence: no fresh packet for {self._dog.timeout:g} s")
-        if not_heard and (self.reason is None or self.reason.cause is Cause.NO_ANSWER):
-            return Reason(Cause.NO_ANSWER,
-                          f"no answer: the other end has not heard this one for {self._dog.timeout:g} s")
-        return None
+        timeout = f"{self._dog.timeout:g} s"
+        return Reason(cause, {
+            Cause.STALL: f"a stall: no tick for {missed * self._dt:.3f} s",
+            Cause.AGE: f"age: messages come more than {self._dog.age or 0.0:g} s after they were sent",
+            Cause.SILENCE: f"silence: no fresh packet for {timeout}",
+            Cause.NO_ANSWER: f"no answer: the other end has not heard this one for {timeout}"}[cause])
 
     def fall(self, passed: int = 1) -> float:
         """The gain `passed` own ticks later with the run over: on its way to 0 along the ramp; no event.
 
         A stepped end whose scene names no watchdog has the ramp of `UNNAMED` for this.
         """
-        step = passed * (self._dog or UNNAMED).limits(self._dt).step
         self.lapsed = passed > self._lapses
-        self.gain = self.gain - step if self.gain > step and not self.lapsed else 0.0
+        self.gain = guard_fall(self.gain, (self._dog or UNNAMED).limits(self._dt).step, passed, self._lapses)
         self._shareless = 0 if self.gain > 0.0 else self._shareless + passed
         return self.gain
 
@@ -357,11 +395,23 @@ class HeldForce:
 
     def _scaled(self, before: float, gain: float, v: tuple[float, ...] | None) -> tuple[float, ...]:
         part = gain / before if before > 0.0 else 0.0
-        force = [part * each for each in self.force]
         along = None if v is None or not all(map(isfinite, v)) else v if self._e == "s" else [-each for each in v]
-        for i, (speed, c) in enumerate(self._limits):
-            if speed is not None and along is not None:
-                force[i] = limit_speed(speed, force[i], along[i])
-            force[i] = cap(c, force[i], self.force[i])
-        self.force = tuple(force)
+        if not self._limits:
+            self.force = tuple([part * each for each in self.force])
+        elif along is None:
+            self.force = tuple([let_down(c, part, f) for f, (_, c) in zip(self.force, self._limits, strict=True)])
+        else:
+            self.force = tuple([
+                let_down(c, part, f) if speed is None else let_down_moving(speed, c, part, f, along_axis)
+                for f, (speed, c), along_axis in zip(self.force, self._limits, along, strict=True)])
         return self.force
+
+
+def let_down(c: CapLimits, part: float, force: float) -> float:
+    """The part of a held force that is held on, within the cap."""
+    return cap(c, part * force, force)
+
+
+def let_down_moving(speed: SpeedLimits, c: CapLimits, part: float, force: float, along: float) -> float:
+    """The same of an axis whose velocity is known, along its force, within the velocity cap too."""
+    return cap(c, limit_speed(speed, part * force, along), force)

@@ -55,6 +55,7 @@ examples:
   teleop replay runs/hard_wall-1 --set law.b=4
   teleop export runs/hard_wall-1 --mcap hard_wall.mcap --csv hard_wall.csv
   teleop stream runs/hard_wall-2 --plotjuggler 127.0.0.1:9870
+  teleop emit bench_top --end m --set law=pp --out handle
 """
 
 
@@ -327,6 +328,14 @@ def _manifest(added: ArgumentParser) -> None:
     _json(added)
 
 
+def _emit(added: ArgumentParser) -> None:
+    scene_options(added, seed=False)
+    added.add_argument("--end", choices=("m", "s", "hand"), required=True, help="the end that is printed: the master, "
+                       "the slave, or hand, the only one of a scene without a slave")
+    _out(added, "SCENE-emit")
+    _json(added)
+
+
 def _report(added: ArgumentParser) -> None:
     added.add_argument("folders", metavar="FOLDER", nargs="+",
                        help="the folder that a run, a page, a sweep, a comparison or a study wrote; several are shown "
@@ -420,6 +429,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "show": ("Show the tick of a scene as plain Python: the lines that are run, and no others.", _show),
     "manifest": ("Print what an end in another language has to say in a scene's packets: manifest, fields in their "
                  "places, sizes, examples in hex; see teleop/protocol/WIRE.md.", _manifest),
+    "emit": ("Print an end as C99 for a microcontroller or another language, with the bits of Python: header, code, a "
+             "check against 500 ticks of Python, and how to call it.", _emit),
     "check": ("Check a device or a robot: its readings, their times, the sign of its force, and how it lets go.",
               _check),
     "doctor": ("Show what is installed and kept, and measure what this machine gives a live end, in about three "

@@ -1,0 +1,10 @@
+"""One end of a scene as C99: the lines of its tick and the guard around them, printed for microcontrollers.
+
+    types        the types of C, and what stands for a value while a function is printed
+    primitives   Python's functions that C has a line for, and what each refuses where Python raises
+    expressions, statements   one Python function as one C function
+    ticks        the generator of a live end as `init` and `tick`
+    guard        the guard around the tick as `begin` and `step`
+    vectors      what Python answers to inputs, tame and wild, for check.c and for tests
+    files        the four files; `command` has the command
+"""

@@ -1,0 +1,176 @@
+"""Calls: of functions that are printed too, of those that C has a line for, and of classes of tuples."""
+
+from __future__ import annotations
+
+import ast
+from contextlib import suppress
+from dataclasses import is_dataclass
+from inspect import CO_VARARGS, CO_VARKEYWORDS
+from types import FunctionType, MethodType
+from typing import Any
+
+from teleop.emit.expressions import Expressions, bare
+from teleop.emit.primitives import INTEGERS, PRIMITIVES, REALS, REFUSED
+from teleop.emit.types import BOOL, DOUBLE, INT, NOTHING, Method, Parts, Printed, Value
+from teleop.simulation.expressions import Known
+
+FOLDED = (range, len, zip, enumerate, reversed, float, int, bool, abs, min, max, tuple, list)
+ROWS = (zip, enumerate, reversed, range, list)
+
+
+class Calls(Expressions):
+    """The calls of one function."""
+
+    def _Call(self, node: ast.Call) -> Value:
+        if isinstance(node.func, ast.Attribute) and node.func.attr == "_replace":
+            return self.replaced(self.evaluate(node.func.value), node)
+        function = self.evaluate(node.func)
+        arguments = [one for each in node.args for one in self.several(each)]
+        keywords = {str(each.arg): self.evaluate(each.value) for each in node.keywords}
+        if isinstance(function, Method):
+            return self.call(function.function, [function.first, *arguments], keywords)
+        if not isinstance(function, Known):
+            raise self.refused(f"{ast.unparse(node.func)} is no function")
+        return self.apply(function.value, arguments, keywords)
+
+    def replaced(self, value: Value, node: ast.Call) -> Value:
+        """A NamedTuple with other values of some fields."""
+        of_class = getattr(value if isinstance(value, Parts) else getattr(value, "type", None), "of_class", None)
+        if of_class is None or not hasattr(of_class, "_fields"):
+            raise self.refused(f"{ast.unparse(node)} is of no NamedTuple")
+        fields = dict(zip(of_class._fields, self.parts(value), strict=True))
+        fields.update({str(each.arg): self.evaluate(each.value) for each in node.keywords})
+        return Parts(tuple(fields.values()), of_class)
+
+    def apply(self, function: Any, arguments: list[Value], keywords: dict[str, Value]) -> Value:
+        """A call of a thing of Python."""
+        if function in REFUSED:
+            raise self.refused(REFUSED[function])
+        if isinstance(function, type) and issubclass(function, tuple) and hasattr(function, "_fields"):
+            kind: Any = function
+            rest = [keywords.get(name, Known(kind._field_defaults.get(name))) for name in kind._fields[len(arguments):]]
+            return Parts((*arguments, *rest), function)
+        if isinstance(function, FunctionType):
+            return self.call(function, arguments, keywords)
+        if all(isinstance(each, Known) for each in arguments) and (function in FOLDED or function in PRIMITIVES):
+            with suppress(ArithmeticError, ValueError):  # at every tick, and so in C
+                made = function(*[each.value for each in arguments])
+                return Known(tuple(made) if function in ROWS else made)
+        if function in PRIMITIVES:
+            return self.primitive(function, arguments)
+        make = getattr(self, f"_{getattr(function, '__name__', '')}", None)
+        if make is None or getattr(function, "__module__", "") != "builtins":
+            raise self.refused(f"{no_line(function)} has no line in C")
+        result: Value = make(*arguments)
+        return result
+
+    def primitive(self, function: Any, arguments: list[Value]) -> Printed:
+        """A call of a function that C has a line for."""
+        primitive = PRIMITIVES[function]
+        if primitive.helper:
+            self.program.helpers.add(primitive.helper)
+        self.faults = self.faults or primitive.faults
+        self.program.libm.update([primitive.libm] if primitive.libm else [])
+        texts = [bare(self.to(each, primitive.takes)) for each in arguments]
+        return Printed(primitive.gives, primitive.text.format(*texts).replace("@", self.program.suffix))
+
+    # Python's own functions
+
+    def _min(self, *values: Value) -> Value:
+        return self.extreme(min, [*values])
+
+    def _max(self, *values: Value) -> Value:
+        return self.extreme(max, [*values])
+
+    def _tuple(self, value: Value) -> Value:
+        return Parts(self.parts(value))
+
+    _list = _tuple
+
+    def _len(self, value: Value) -> Value:
+        return Known(len(self.parts(value)))
+
+    def _zip(self, *values: Value) -> Value:
+        return Parts(tuple([Parts(row) for row in zip(*map(self.parts, values), strict=False)]))
+
+    def _enumerate(self, value: Value) -> Value:
+        return Parts(tuple([Parts((Known(i), each)) for i, each in enumerate(self.parts(value))]))
+
+    def _reversed(self, value: Value) -> Value:
+        return Parts(self.parts(value)[::-1])
+
+    def _all(self, value: Value) -> Value:
+        return self.either([*map(self._bool, self.parts(value))] or [Known(True)], decides=False)
+
+    def _any(self, value: Value) -> Value:
+        return self.either([*map(self._bool, self.parts(value))] or [Known(False)], decides=True)
+
+    def _abs(self, value: Value) -> Value:
+        printed = self.whole(value)
+        if printed.type == DOUBLE:
+            return Printed(DOUBLE, f"fabs{self.program.suffix}({bare(printed.text)})")
+        return self.extreme(max, [printed, self.binary(ast.Sub(), Known(0), printed)])
+
+    def _bool(self, value: Value) -> Value:
+        return Known(bool(value.value)) if isinstance(value, Known) else Printed(BOOL, self.truth(value))
+
+    def _float(self, value: Value) -> Value:
+        return Printed(DOUBLE, self.to(value, DOUBLE))
+
+    def _int(self, value: Value) -> Value:
+        printed = self.whole(value)
+        if printed.type != DOUBLE:
+            return Printed(INT, self.to(printed, INT))
+        text = bare(printed.text)
+        return Printed(DOUBLE, self.helper("py_whole", f"trunc{self.program.suffix}({text})", text, faults=True))
+
+    def extreme(self, function: Any, arguments: list[Value]) -> Value:
+        """The least or the greatest, asked from left to right as Python does."""
+        values = self.parts(arguments[0]) if len(arguments) == 1 else arguments
+        made = values[0]
+        for each in values[1:]:
+            if isinstance(made, Known) and isinstance(each, Known):
+                made = Known(function(made.value, each.value))
+                continue
+            kind = self.types.join(self.joined(made, each), INT)
+            name = (INTEGERS if kind == INT else REALS)[function]
+            made = Printed(kind, self.helper(name, bare(self.to(made, kind)), bare(self.to(each, kind))))
+        return made
+
+    def call(self, function: FunctionType, arguments: list[Value], keywords: dict[str, Value]) -> Value:
+        """A call of a function that is printed too."""
+        code, defaults = function.__code__, function.__defaults__ or ()
+        names, values = code.co_varnames[:code.co_argcount], [*arguments]
+        if code.co_flags & CO_VARARGS and not keywords and not code.co_kwonlyargcount and len(values) >= len(names):
+            return self.program.inlined(function, [*values[:len(names)], Parts(tuple(values[len(names):]))], self)
+        if len(values) > len(names) or code.co_flags & (CO_VARARGS | CO_VARKEYWORDS) or code.co_kwonlyargcount:
+            raise self.refused(f"{function.__qualname__} has starred arguments or ones by name alone, or too many")
+        for i, name in enumerate(names[len(values):], len(values)):
+            back = len(names) - i
+            if name not in keywords and back > len(defaults):
+                raise self.refused(f"{function.__qualname__} lacks {name}")
+            values.append(keywords[name] if name in keywords else Known(defaults[-back]))
+        settled = [self.argument(each) for each in values]
+        made = self.program.function(function, settled, self)
+        self.faults = self.faults or made.faults
+        if made.gives == NOTHING:
+            return Parts(())
+        texts = [bare(each.text) for each in settled if isinstance(each, Printed) and each.type != NOTHING]
+        return Printed(made.gives, f"{made.name}({', '.join([*texts, *['fault'] * made.faults])})")
+
+    def argument(self, value: Value) -> Value:
+        """An argument as a function is printed for: numbers are passed, texts and functions are known."""
+        if isinstance(value, Parts) or (isinstance(value, Known) and (
+                isinstance(value.value, float) or (isinstance(value.value, tuple) and value.value))):
+            return self.whole(value)
+        return value
+
+
+def no_line(function: Any) -> str:
+    """What a thing of Python is called in a refusal."""
+    if isinstance(function, type) and is_dataclass(function):
+        return f"{function.__name__}, which is made at a tick and is no NamedTuple,"
+    if isinstance(function, MethodType):
+        return f"{function.__qualname__}, which is bound to an object,"
+    name = f"{getattr(function, '__module__', '') or ''}.{getattr(function, '__qualname__', function)}"
+    return name.lstrip(".").removeprefix("builtins.")

@@ -1,0 +1,206 @@
+"""What Python's arithmetic means and C's does not, kept in printed C. Each mistake of a printer is caught here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from math import copysign, exp, floor, inf, nan, sqrt
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import pytest
+
+from teleop import At, Scene, load_scene
+from teleop.emit import files as files_module
+from teleop.emit.files import files
+from teleop.emit.primitives import HELPERS, PRIMITIVES, Primitive
+from teleop.emit.vectors import vectors
+from teleop.stages.device import Device
+from tests.teleop.emit.printed import compiled, differences
+
+
+class Sent(NamedTuple):
+    x: float
+    least: float = 0.0  # of values among which are NaN and zeros of both signs
+    tie: float = 0.0
+    truths: float = 0.0
+    rest: float = 0.0
+    whole_rest: float = 0.0
+    chain: float = 0.0
+    either: float = 0.0
+    mode: float = 0.0
+    window: float = 0.0
+    helped: float = 0.0
+    turns: float = 0.0
+    rounded: float = 0.0
+    swapped: float = 0.0
+    chosen: float = 0.0
+
+
+class Odd(NamedTuple):
+    a: float
+
+
+TABLE = (3.0, 1.0, 4.0, 1.0, 5.0, 9.0, 2.0, 6.0, 5.0, 3.0)
+
+
+def limited(x: float, low: float = -1.0, high: float = 1.0) -> float:
+    """A helper that returns early, and whose arguments have names and defaults."""
+    if x < low:
+        return low
+    return high if x > high else x
+
+
+@dataclass(frozen=True, kw_only=True)
+class Oddities:
+    """A law whose messages are what Python makes of one odd expression each."""
+
+    K: float = 100.0
+    n: int = 3
+    mode: str = "soft"
+    gains: tuple[float, ...] = (1.0, -2.0, 3.0)
+    claims: ClassVar[dict[str, str]] = {}
+
+    def master_start(self, at: At) -> Any:
+        return Odd(0.0), Sent(at.x)
+
+    def slave_start(self, at: At) -> Any:
+        return (), Sent(at.x)
+
+    @property
+    def twice(self) -> float:
+        return 2.0 * self.K
+
+    def master(self, s: Any, at: At, rx: Sent) -> Any:
+        v, x = at.v, at.x
+        past = (x, *((v, s.a, at.f_held) * 5)[1:-1], v)
+        total, sign = 0.0, 1
+        for each in past:
+            total += sign * each
+            if each > 4.0:
+                break
+            sign = -sign
+        turns, f = 0, abs(v)
+        while turns < 6 and f > 0.01:
+            f = f / 2.0
+            turns += 1
+        for i in range(turns):
+            f += TABLE[i] * past[i - 3]
+        b, c = x, v
+        b, c = c, b - c
+        count = 9 if at.fresh else 4
+        chosen = 0.0
+        for g in self.gains:
+            chosen = max(chosen, g * v)
+        tx = Sent(
+            x, min(x, v, 0.0 * v, nan if x > 0.05 else 0.0), max(-0.0, 0.0 * x),
+            (v > 0.0) + (x > 0.0) * 2 - (not at.fresh),
+            v % 0.3 + -v % -0.7 + x % inf, (count - 7) % self.n + (count % -4), 1.0 if -0.1 < v <= x < 5.0 else 0.0,
+            (v > 0.1 and x) or s.a or 0.25, self.twice if self.mode == "soft" else 0.0, total + past[-1],
+            limited(v, high=0.5), f + turns,
+            floor(x * 10.0) * 0.1 + int(v * 10.0) + copysign(1.0, 0.0 * floor(-0.5 * at.fresh)),
+            b - c, chosen)
+        return self.K * (x - rx.x), tx, Odd(v if v < inf else 0.0)
+
+    def slave(self, s: Any, at: At, rx: Sent) -> Any:
+        return self.K * (rx.x - at.x), Sent(at.x), s
+
+
+def scene(law: Any = None) -> Scene:
+    """The canonical scene with such a law."""
+    return replace(load_scene("canonical"), law=law or Oddities(), name="odd")
+
+
+def test_odd_expressions_have_the_bits_of_python(tmp_path: Path) -> None:
+    of = scene()
+    made = files(of, "m", "m")
+    built = compiled(made, tmp_path, "-O1")
+    assert differences(built) == ""
+    for wild in (0.0, 0.05):
+        assert differences(built, vectors(of, "m", made.tick, count=3000, wild=wild, again=40)) == ""
+
+
+MISTAKES = {  # of a printer: a helper as somebody would write it who knows C
+    "py_min": "static double py_min(double a, double b) { return fmin(a, b); }",
+    "py_max": "static double py_max(double a, double b) { return a > b ? a : b; }",
+    "py_mod": "static double py_mod(double a, double b, unsigned *fault) { (void)fault; return fmod(a, b); }",
+    "py_imod": "static int64_t py_imod(int64_t a, int64_t b, unsigned *fault) { (void)fault; return a % b; }",
+    "py_whole": "static double py_whole(double y, double a, unsigned *fault) { (void)fault; (void)a; return y; }",
+    "py_index": "static int64_t py_index(int64_t i, int n, unsigned *fault) { return *fault ? n : i < 0 ? 0 : i; }",
+}
+
+
+@pytest.mark.parametrize("helper", [
+    pytest.param(each, marks=[pytest.mark.full] * (each not in ("py_min", "py_mod"))) for each in MISTAKES])
+def test_a_helper_as_c_has_it_is_caught(helper: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(HELPERS, helper, MISTAKES[helper])
+    of = scene()
+    made = files(of, "m", "m")
+    built = compiled(made, tmp_path)
+    assert differences(built, vectors(of, "m", made.tick, count=2000, wild=0.05, again=40)) != ""
+
+
+def raising(v: float, x: float) -> float:
+    """Divisions, roots, exponentials and whole numbers of what a device reads, some of which Python refuses."""
+    if x > 0.1:
+        return 1.0 / floor(v * 20.0)
+    if x > 0.0:
+        return sqrt(v + 0.3)
+    return exp(v * 3000.0) + x % floor(v * 20.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raising:
+    """A law that raises at some ticks, and counts the others."""
+
+    claims: ClassVar[dict[str, str]] = {}
+
+    def master_start(self, at: At) -> Any:
+        return Odd(0.0), Sent(at.x)
+
+    def slave_start(self, at: At) -> Any:
+        return (), Sent(at.x)
+
+    def master(self, s: Any, at: At, rx: Sent) -> Any:
+        return (raising(at.v, at.x) if s.a > 10.0 else 0.0) + s.a, Sent(at.x), Odd(s.a + 1.0)
+
+    def slave(self, s: Any, at: At, rx: Sent) -> Any:
+        return 0.0, Sent(at.x), s
+
+
+def test_where_python_raises_the_tick_faults_and_leaves_the_state_as_it_was(tmp_path: Path, monkeypatch: Any) -> None:
+    of = scene(Raising())
+    made = files(of, "m", "m")
+    rows = vectors(of, "m", made.tick, count=2000, wild=0.02, again=60)
+    raised = sum(row[1] for row in rows.rows)
+    assert 100 < raised < 1500
+    assert differences(compiled(made, tmp_path), rows) == ""
+    monkeypatch.setitem(PRIMITIVES, math.sqrt, Primitive("sqrt@({0})"))
+    made = files(of, "m", "m")
+    assert "Python raised" in differences(compiled(made, tmp_path / "without"), rows)
+
+
+def test_an_end_begins_where_its_device_is_and_not_where_the_scene_does(tmp_path: Path) -> None:
+    """A window of readings was printed as full of the scene's own start."""
+    from teleop.stages.encoder import Encoder
+    from teleop.stages.velocity.adaptive_window import EndFit
+
+    of = replace(load_scene("canonical", law="pp"), start_m=0.02, device_m=Device(
+        encoder=Encoder(step=1e-4), velocity=EndFit(noise=1e-4, most=30), every=3))
+    made = files(of, "m", "m")
+    begins = [row[2] for row in made.vectors.rows if row[0] == 0.0]
+    assert begins
+    assert 0.02 not in begins
+    assert differences(compiled(made, tmp_path)) == ""
+    assert made.texts["canonical_m.c"].count("for (") >= 3, "a long window is copied by a loop"
+
+
+def test_a_long_window_is_no_longer_in_c_than_a_short_one() -> None:
+    from teleop.stages.velocity.adaptive_window import EndFit
+
+    def printed(most: int) -> str:
+        of = replace(load_scene("canonical", law="pp"), device_m=Device(velocity=EndFit(noise=1e-4, most=most)))
+        text: str = files_module.printed_tick(of, "m", "m_").text
+        return text
+
+    assert printed(30).count("\n") == printed(900).count("\n")
