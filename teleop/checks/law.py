@@ -45,7 +45,7 @@ MEASURES = frozenset((  # all that a law does shows in these; more of them take 
 ENGINE_RUN = 0.1  # s of each run by every engine
 
 
-def check_law(law: Any, *, compiled: bool = True) -> None:
+def check_law(law: Any, *, compiled: bool = True, c: bool = False) -> None:
     """Raise `Refused` with one sentence for the first thing in which `law` is not a law; else return.
 
     It tries, in this order:
@@ -58,17 +58,20 @@ def check_law(law: Any, *, compiled: bool = True) -> None:
       random masses, walls and links no claimed ledger goes below zero; the energy that it keeps came in by its ports;
     - the same where an adversary chooses gains, bodies, hand, walls and link (`teleop.checks.search`);
     - that every engine of a sweep gives the figures of a single run to the bit. `compiled=False` skips the compiled
-      engines, which take some seconds.
+      engines, which take some seconds;
+    - with `c=True` that each end can be printed as C (`teleop emit`) and, where there is a compiler, that the C has the
+      bits of Python, with tame inputs and with infinite, NaN, subnormal and huge ones.
 
     A one-port law (`start`, `force`) is tried in the same spirit: its one end alone, and its claim in closed loops.
     """
     if is_one_port(law):
-
         _check_class(law, ONE_PORT)
         check_contract(law)
         _probe_one_port(law)
         _try_port(law)
         try_worst(law)
+        if c:
+            try_c(law, Scene(law=law, master=MassDamper(mass=1.0)))
         return
     _check_class(law, TWO_PORT)
     check_contract(law)
@@ -78,6 +81,18 @@ def check_law(law: Any, *, compiled: bool = True) -> None:
     try_claims(law)
     try_worst(law)
     try_engines(law, compiled=compiled)
+    if c:
+        try_c(law, replace(next(iter(trials(law, spread(type(law).__name__)))), axes=1, observer=200.0))
+
+
+def try_c(law: Any, scene: Scene) -> None:
+    """Refuse a law that cannot be printed as C, or whose C has other bits than Python."""
+    from teleop.emit.compiled import compare, find_compiler
+
+    for e in ("m", "s") if scene.slave is not None else ("m",):
+        for difference in compare(scene, e, find_compiler()):
+            raise Refused(f"{type(law).__name__} is another law in C, at the end {e}: {difference.splitlines()[0]}; this "
+                          "is a defect of teleop emit, so report it with the law")
 
 
 def is_one_port(law: Any) -> bool:

@@ -1,4 +1,4 @@
-"""One end of a scene as C99: the lines of its tick and the guard around them, printed for microcontrollers.
+"""Printer of an end as C99: the lines of its tick and the guard around them, for microcontrollers.
 
     types        the types of C, and what stands for a value while a function is printed
     primitives   Python's functions that C has a line for, and what each refuses where Python raises

@@ -9,16 +9,16 @@ from inspect import CO_VARARGS, CO_VARKEYWORDS
 from types import FunctionType, MethodType
 from typing import Any
 
-from teleop.emit.expressions import Expressions, bare
+from teleop.emit.expressions import CExpressions, bare
 from teleop.emit.primitives import INTEGERS, PRIMITIVES, REALS, REFUSED
-from teleop.emit.types import BOOL, DOUBLE, INT, NOTHING, Method, Parts, Printed, Value
+from teleop.emit.types import BOOL, DOUBLE, INT, NOTHING, MethodOf, Printed, TupleParts, Value
 from teleop.simulation.expressions import Known
 
 FOLDED = (range, len, zip, enumerate, reversed, float, int, bool, abs, min, max, tuple, list)
 ROWS = (zip, enumerate, reversed, range, list)
 
 
-class Calls(Expressions):
+class Calls(CExpressions):
     """The calls of one function."""
 
     def _Call(self, node: ast.Call) -> Value:
@@ -27,7 +27,7 @@ class Calls(Expressions):
         function = self.evaluate(node.func)
         arguments = [one for each in node.args for one in self.several(each)]
         keywords = {str(each.arg): self.evaluate(each.value) for each in node.keywords}
-        if isinstance(function, Method):
+        if isinstance(function, MethodOf):
             return self.call(function.function, [function.first, *arguments], keywords)
         if not isinstance(function, Known):
             raise self.refused(f"{ast.unparse(node.func)} is no function")
@@ -35,12 +35,12 @@ class Calls(Expressions):
 
     def replaced(self, value: Value, node: ast.Call) -> Value:
         """A NamedTuple with other values of some fields."""
-        of_class = getattr(value if isinstance(value, Parts) else getattr(value, "type", None), "of_class", None)
+        of_class = getattr(value if isinstance(value, TupleParts) else getattr(value, "type", None), "of_class", None)
         if of_class is None or not hasattr(of_class, "_fields"):
             raise self.refused(f"{ast.unparse(node)} is of no NamedTuple")
         fields = dict(zip(of_class._fields, self.parts(value), strict=True))
         fields.update({str(each.arg): self.evaluate(each.value) for each in node.keywords})
-        return Parts(tuple(fields.values()), of_class)
+        return TupleParts(tuple(fields.values()), of_class)
 
     def apply(self, function: Any, arguments: list[Value], keywords: dict[str, Value]) -> Value:
         """A call of a thing of Python."""
@@ -49,7 +49,7 @@ class Calls(Expressions):
         if isinstance(function, type) and issubclass(function, tuple) and hasattr(function, "_fields"):
             kind: Any = function
             rest = [keywords.get(name, Known(kind._field_defaults.get(name))) for name in kind._fields[len(arguments):]]
-            return Parts((*arguments, *rest), function)
+            return TupleParts((*arguments, *rest), function)
         if isinstance(function, FunctionType):
             return self.call(function, arguments, keywords)
         if all(isinstance(each, Known) for each in arguments) and (function in FOLDED or function in PRIMITIVES):
@@ -83,7 +83,7 @@ class Calls(Expressions):
         return self.extreme(max, [*values])
 
     def _tuple(self, value: Value) -> Value:
-        return Parts(self.parts(value))
+        return TupleParts(self.parts(value))
 
     _list = _tuple
 
@@ -91,13 +91,13 @@ class Calls(Expressions):
         return Known(len(self.parts(value)))
 
     def _zip(self, *values: Value) -> Value:
-        return Parts(tuple([Parts(row) for row in zip(*map(self.parts, values), strict=False)]))
+        return TupleParts(tuple([TupleParts(row) for row in zip(*map(self.parts, values), strict=False)]))
 
     def _enumerate(self, value: Value) -> Value:
-        return Parts(tuple([Parts((Known(i), each)) for i, each in enumerate(self.parts(value))]))
+        return TupleParts(tuple([TupleParts((Known(i), each)) for i, each in enumerate(self.parts(value))]))
 
     def _reversed(self, value: Value) -> Value:
-        return Parts(self.parts(value)[::-1])
+        return TupleParts(self.parts(value)[::-1])
 
     def _all(self, value: Value) -> Value:
         return self.either([*map(self._bool, self.parts(value))] or [Known(True)], decides=False)
@@ -142,7 +142,7 @@ class Calls(Expressions):
         code, defaults = function.__code__, function.__defaults__ or ()
         names, values = code.co_varnames[:code.co_argcount], [*arguments]
         if code.co_flags & CO_VARARGS and not keywords and not code.co_kwonlyargcount and len(values) >= len(names):
-            return self.program.inlined(function, [*values[:len(names)], Parts(tuple(values[len(names):]))], self)
+            return self.program.inlined(function, [*values[:len(names)], TupleParts(tuple(values[len(names):]))], self)
         if len(values) > len(names) or code.co_flags & (CO_VARARGS | CO_VARKEYWORDS) or code.co_kwonlyargcount:
             raise self.refused(f"{function.__qualname__} has starred arguments or ones by name alone, or too many")
         for i, name in enumerate(names[len(values):], len(values)):
@@ -154,20 +154,20 @@ class Calls(Expressions):
         made = self.program.function(function, settled, self)
         self.faults = self.faults or made.faults
         if made.gives == NOTHING:
-            return Parts(())
+            return TupleParts(())
         texts = [bare(each.text) for each in settled if isinstance(each, Printed) and each.type != NOTHING]
         return Printed(made.gives, f"{made.name}({', '.join([*texts, *['fault'] * made.faults])})")
 
     def argument(self, value: Value) -> Value:
         """An argument as a function is printed for: numbers are passed, texts and functions are known."""
-        if isinstance(value, Parts) or (isinstance(value, Known) and (
+        if isinstance(value, TupleParts) or (isinstance(value, Known) and (
                 isinstance(value.value, float) or (isinstance(value.value, tuple) and value.value))):
             return self.whole(value)
         return value
 
 
 def no_line(function: Any) -> str:
-    """What a thing of Python is called in a refusal."""
+    """Name a thing of Python in a refusal."""
     if isinstance(function, type) and is_dataclass(function):
         return f"{function.__name__}, which is made at a tick and is no NamedTuple,"
     if isinstance(function, MethodType):

@@ -1,7 +1,7 @@
 """Expressions of Python as expressions of C.
 
-Each is evaluated to a `Known` thing of Python, to a `Printed` expression, or to `Parts` side by side, of which a record
-of C is made where one is needed. Arithmetic keeps its order and its brackets. What cannot be kept is refused with file
+Each is evaluated to a `Known` thing of Python, to a `Printed` expression, or to `TupleParts`, of which a record of C is
+made where one is needed. Arithmetic keeps its order and its brackets. What cannot be kept is refused with file
 and line, `NotPrinted`.
 """
 
@@ -27,11 +27,11 @@ from teleop.emit.types import (
     NOTHING,
     SCALARS,
     Array,
-    Method,
+    MethodOf,
     NotPrinted,
-    Parts,
     Printed,
     Struct,
+    TupleParts,
     Value,
     member,
     part,
@@ -68,7 +68,7 @@ def bare(text: str) -> str:
     return text[1:-1]
 
 
-class Expressions:
+class CExpressions:
     """The expressions of one function; `program` has the types, the helpers and the functions that it calls."""
 
     def __init__(self, program: Any, function: FunctionType) -> None:
@@ -101,11 +101,11 @@ class Expressions:
                 return Printed(kind, self.number(value.value, kind), fixed=True)
             if isinstance(value.value, tuple | list):
                 of_class = type(value.value) if hasattr(value.value, "_fields") else None
-                return self.whole(Parts(tuple(map(Known, value.value)), of_class))
+                return self.whole(TupleParts(tuple(map(Known, value.value)), of_class))
             if value.value is None:
                 return Printed(NOTHING, "")
             raise self.refused(f"{value.value!r:.60} is no number")
-        if not isinstance(value, Parts):
+        if not isinstance(value, TupleParts):
             raise self.refused("a function is no number")
         parts = [self.whole(each) for each in value.values]
         kind = self.types.tuple_of([each.type for each in parts], value.of_class)
@@ -155,7 +155,8 @@ class Expressions:
         """A value as an expression of this type."""
         if isinstance(value, Known) and isinstance(value.value, NUMBERS) and kind in SCALARS:
             return self.number(value.value, kind)
-        if isinstance(value, Parts) and isinstance(kind, Struct | Array) and len(value.values) == len(parts_of(kind)):
+        is_record = isinstance(kind, Struct | Array)
+        if isinstance(value, TupleParts) and is_record and len(value.values) == len(parts_of(kind)):
             return self.record(value.values, kind).text
         printed = self.whole(value)
         if printed.type is kind or printed.type == kind:
@@ -166,7 +167,7 @@ class Expressions:
             if printed.type == DOUBLE and kind == INT:
                 return self.helper("py_count", bare(printed.text), faults=True)
             return f"({self.types.c(kind)}){printed.text}"
-        if isinstance(printed.type, Struct | Array) and isinstance(kind, Struct | Array) and len(
+        if isinstance(printed.type, Struct | Array) and is_record and len(
                 parts_of(printed.type)) == len(parts_of(kind)):
             inner = Printed(printed.type, "a")
             self.program.arrays["a"] = printed.type
@@ -189,7 +190,7 @@ class Expressions:
         """The parts of a tuple."""
         if isinstance(value, Known):
             return tuple(map(Known, value.value))
-        if isinstance(value, Parts):
+        if isinstance(value, TupleParts):
             return value.values
         if isinstance(value, Printed) and isinstance(value.type, Struct | Array):
             if isinstance(value.type, Array) and not value.type.bare:
@@ -243,17 +244,17 @@ class Expressions:
         inner, word = self.evaluate(node.value), node.attr
         if isinstance(inner, Known):
             return Known(getattr(inner.value, word))
-        of_class = inner.of_class if isinstance(inner, Parts) else getattr(inner.type, "of_class", None)
-        if isinstance(inner, Parts) and of_class is not None and word in of_class._fields:
+        of_class = inner.of_class if isinstance(inner, TupleParts) else getattr(inner.type, "of_class", None)
+        if isinstance(inner, TupleParts) and of_class is not None and word in of_class._fields:
             return inner.values[of_class._fields.index(word)]
         if isinstance(inner, Printed) and isinstance(inner.type, Struct) and word in inner.type.members:
             return member(inner, word)
-        found = getattr_static(of_class, word, None)
-        if isinstance(found, property):
-            return self.apply(found.fget, [inner], {})
-        if isinstance(found, FunctionType):
-            return Method(found, inner)
-        if found is None:
+        attribute = getattr_static(of_class, word, None)
+        if isinstance(attribute, property):
+            return self.apply(attribute.fget, [inner], {})
+        if isinstance(attribute, FunctionType):
+            return MethodOf(attribute, inner)
+        if attribute is None:
             raise self.refused(f"{ast.unparse(node)} is no field of a record")
         return Known(getattr(of_class, word))
 
@@ -264,7 +265,7 @@ class Expressions:
                     for each in (node.slice.lower, node.slice.upper, node.slice.step)]
             if not all(each is None or isinstance(each, Known) for each in ends):
                 raise self.refused(f"{ast.unparse(node)} has an end that is not known when it is printed")
-            return Parts(self.parts(inner)[slice(*[None if each is None else each.value for each in ends])])
+            return TupleParts(self.parts(inner)[slice(*[None if each is None else each.value for each in ends])])
         at = self.evaluate(node.slice)
         if isinstance(inner, Known) and isinstance(at, Known):
             return Known(inner.value[at.value])
@@ -277,7 +278,7 @@ class Expressions:
         return Printed(printed.type.of, f"{printed.text}.at[{index}]")
 
     def _Tuple(self, node: ast.Tuple) -> Value:
-        return Parts(tuple([one for each in node.elts for one in self.several(each)]))
+        return TupleParts(tuple([one for each in node.elts for one in self.several(each)]))
 
     def _List(self, node: ast.List) -> Value:
         raise self.refused(f"a list has no line in C; write a tuple: {ast.unparse(node)[:60]}")
@@ -298,7 +299,7 @@ class Expressions:
             if all(test.value for test in tests):
                 made.append(self.evaluate(node.elt))
         self.known = around
-        return Parts(tuple(made))
+        return TupleParts(tuple(made))
 
     _ListComp = _GeneratorExp
 
@@ -335,9 +336,9 @@ class Expressions:
                 return Known(OF_CONSTANTS[type(op)](left.value, right.value))
         if not all(self.is_number(each) for each in (left, right)):
             if isinstance(op, ast.Add):
-                return Parts(self.parts(left) + self.parts(right))
+                return TupleParts(self.parts(left) + self.parts(right))
             if isinstance(op, ast.Mult) and isinstance(right, Known):
-                return Parts(self.parts(left) * right.value)
+                return TupleParts(self.parts(left) * right.value)
             raise self.refused(f"tuples with {type(op).__name__} between them have no line in C")
         kind = self.types.join(self.joined(left, right), INT)
         if type(op) in SIGNS:

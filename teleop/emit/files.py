@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from teleop.emit.guard import Guard, with_guard
 from teleop.emit.primitives import FAULTS
-from teleop.emit.ticks import WHAT, Tick, printed_tick, record_line
+from teleop.emit.ticks import WHAT, PrintedTick, printed_tick, record_line
 from teleop.emit.types import BOOL, NOTHING
 from teleop.emit.vectors import Vectors, vectors
 from teleop.law import law_name
@@ -23,12 +23,12 @@ class Files(NamedTuple):
     """The files by name, and what a summary says of them."""
 
     texts: dict[str, str]
-    tick: Tick
+    tick: PrintedTick
     vectors: Vectors
 
 
 def files(scene: Scene, e: str, end: str, *, sensor: bool | None = None, real: str = "double") -> Files:
-    """All files of an end. Raises `NotPrinted` before any of them is there."""
+    """Print the files of an end. Raises `NotPrinted` before any of them is there."""
     name = f"{re.sub(r'[^a-z0-9]+', '_', scene.name.lower()).strip('_')}_{end}"
     tick, guard = with_guard(scene, printed_tick(scene, e, f"{name}_", sensor=sensor, real=real))
     rows = vectors(scene, e, tick, count=TICKS, sensor=sensor)
@@ -84,7 +84,7 @@ const {prefix}params *{prefix}of_scene(void);
 """
 
 
-def header(scene: Scene, end: str, name: str, tick: Tick, guard: Guard) -> str:
+def header(scene: Scene, end: str, name: str, tick: PrintedTick, guard: Guard) -> str:
     """NAME_e.h."""
     prefix = tick.prefix
     faults = ",\n".join([f"    {prefix.upper()}{word} = {1 << i} /* {what} */"
@@ -95,7 +95,7 @@ def header(scene: Scene, end: str, name: str, tick: Tick, guard: Guard) -> str:
                        guard=guard.header)
 
 
-def records(tick: Tick) -> str:
+def records(tick: PrintedTick) -> str:
     """The types of the parameters, the state, the inputs and the outputs."""
     types = tick.program.types
     of_records = [kind for members in tick.records.values() for kind in members.values()]
@@ -115,7 +115,7 @@ def title(scene: Scene, end: str) -> str:
     return f"{scene.name}, end {end}: law {law_name(scene.laws[0])}, {axes}, tick {scene.dt_ns / 1e6:g} ms"
 
 
-def code(scene: Scene, end: str, name: str, tick: Tick, guard: Guard) -> str:
+def code(scene: Scene, end: str, name: str, tick: PrintedTick, guard: Guard) -> str:
     """NAME_e.c."""
     return (f"/* {title(scene, end)}. Printed by `teleop emit`: do not edit.\n   A number behind a line is that of the "
             f"Python line that it was printed from. */\n#include \"{name}.h\"\n\n"
@@ -194,7 +194,7 @@ int main(int words, char **word)
 """
 
 
-def check(name: str, tick: Tick, rows: Vectors) -> str:
+def check(name: str, tick: PrintedTick, rows: Vectors) -> str:
     """check.c: the rows as hex floats, and what compares them."""
     def number(value: float) -> str:
         return tick.program.types.literal(value, "double") if value - value != 0.0 else (
@@ -239,8 +239,8 @@ moment.k = k; moment.x[0] = ...; moment.got = ...; /* what is known at this tick
 ```
 
 `step` is the tick within the guard: no force before messages have come for {settle:g} s, and the ramp to zero
-({ramp:g} s) {timeout:g} s after the last one, at readings that are not finite, after ticks that were missed, with a clock
-that stands, or a law that fails. `answer.reason` says why (`{upper}SILENCE`, ...).
+({ramp:g} s) {timeout:g} s after the last one, at readings that are not finite, after ticks that were missed, with a
+clock that stands, or a law that fails. `answer.reason` says why (`{upper}SILENCE`, ...).
 Of messages give {playing}, with the number of the tick at which it was sent; old, repeated and NaN ones are none.
 
 What you still owe:
@@ -256,7 +256,7 @@ would have raised: {faults}. The state is then as it was.
 """
 
 
-def page(scene: Scene, end: str, name: str, tick: Tick) -> str:
+def page(scene: Scene, end: str, name: str, tick: PrintedTick) -> str:
     """README.md."""
     libm = ("It needs nothing of libm but what is exact (sqrt, fabs, floor), so they are the same everywhere."
             if not tick.program.libm else

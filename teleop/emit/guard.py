@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from teleop.emit.statements import Statements
-from teleop.emit.ticks import WHAT, Tick, record_line
+from teleop.emit.ticks import WHAT, PrintedTick, record_line
 from teleop.emit.types import BOOL, DOUBLE, INT, Printed, comment
 from teleop.emit.vectors import places
 from teleop.protocol.guard import (
@@ -55,7 +55,7 @@ def guard_numbers(scene: Scene, deadline: float | None = None) -> GuardNumbers:
         LONGEST / dt + 0.5, BLIND_NS / scene.dt_ns, tuple([each.limits(dt) for each in limits]))
 
 
-def with_guard(scene: Scene, tick: Tick) -> tuple[Tick, Guard]:
+def with_guard(scene: Scene, tick: PrintedTick) -> tuple[PrintedTick, Guard]:
     """The tick with the guard's numbers among its parameters, and the guard."""
     program, types, prefix, axes = tick.program, tick.program.types, tick.prefix, scene.axes
     numbers = guard_numbers(scene)

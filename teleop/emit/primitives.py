@@ -78,7 +78,7 @@ HELPERS = {
 
 
 class Primitive(NamedTuple):
-    """How a function of Python stands in C: `{0}` is its first argument, `@` the letter of float."""
+    """A function of Python in C: `{0}` is its first argument, `@` the letter of float."""
 
     text: str
     takes: str = DOUBLE  # the type of its arguments

@@ -11,9 +11,9 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 from teleop.emit.calls import Calls
-from teleop.emit.expressions import WORDS, Expressions, bare, c_word
+from teleop.emit.expressions import WORDS, CExpressions, bare, c_word
 from teleop.emit.primitives import HELPERS
-from teleop.emit.types import INT, NOTHING, Array, Parts, Printed, Types, Value
+from teleop.emit.types import INT, NOTHING, Array, Printed, TupleParts, Types, Value
 from teleop.simulation.expressions import Known, NotSpecialised, functions_in
 
 
@@ -36,7 +36,7 @@ class CFunction(NamedTuple):
 
 
 class Program:
-    """All that one C file has: types, helpers, and functions in the order in which they call each other."""
+    """Contents of one C file: types, helpers, and functions in the order in which they call each other."""
 
     def __init__(self, prefix: str, real: str = "double") -> None:
         self.types = Types(prefix, real)
@@ -49,7 +49,7 @@ class Program:
         self._texts: list[tuple[str, str]] = []
         self._names: Counter[str] = Counter()
 
-    def function(self, function: FunctionType, arguments: list[Value], caller: Expressions) -> CFunction:
+    def function(self, function: FunctionType, arguments: list[Value], caller: CExpressions) -> CFunction:
         """The function of C for arguments of these types."""
         key = (function, *[each.type if isinstance(each, Printed) else (repr(each), id(getattr(each, "value", each)))
                            for each in arguments])
@@ -65,8 +65,8 @@ class Program:
         assert result is not None
         return result
 
-    def inlined(self, function: FunctionType, values: list[Value], caller: Expressions) -> Value:
-        """What a function of one line, whose last argument has a star, answers with where it is called."""
+    def inlined(self, function: FunctionType, values: list[Value], caller: CExpressions) -> Value:
+        """Answer of a function of one line, whose last argument has a star, in the place of its call."""
         inner = Statements(self, function)
         line = inner.definition()[0][-1]
         if not isinstance(line, ast.Return) or line.value is None:
@@ -92,10 +92,10 @@ class Program:
 
     def text(self, entry: str) -> str:
         """The helpers and functions that `entry`, the text of what calls them, needs."""
-        used, kept = entry, []
+        used, needed_texts = entry, []
         for name, text in reversed(self._texts):
             if re.search(rf"\b{name}\(", used):
-                kept.append(text)
+                needed_texts.append(text)
                 used += text
         small = []
         for name in self.helpers:
@@ -105,7 +105,7 @@ class Program:
         helpers = "\n".join([HELPERS[name] for name in HELPERS if name in small])
         for word, meaning in words.items():
             helpers = helpers.replace(word, meaning)
-        return helpers + "\n\n" * bool(helpers) + "\n".join(reversed(kept))
+        return helpers + "\n\n" * bool(helpers) + "\n".join(reversed(needed_texts))
 
 
 class Statements(Calls):
@@ -141,11 +141,11 @@ class Statements(Calls):
         code = self.function.__code__
         tree = ast.parse(Path(code.co_filename).read_text())
         names = list(code.co_varnames[:code.co_argcount])
-        found = [each for each in ast.walk(tree) if isinstance(each, ast.Lambda) and each.lineno == code.co_firstlineno
+        lines = [each for each in ast.walk(tree) if isinstance(each, ast.Lambda) and each.lineno == code.co_firstlineno
                  and [one.arg for one in each.args.args] == names]
-        if len(found) != 1:
+        if len(lines) != 1:
             raise self.refused("the lambda cannot be told from another in its line; write a function")
-        return [ast.copy_location(ast.Return(found[0].body), found[0])]
+        return [ast.copy_location(ast.Return(lines[0].body), lines[0])]
 
     def translate(self, arguments: list[Value], name: str) -> CFunction:
         """The function for these arguments."""
@@ -207,7 +207,7 @@ class Statements(Calls):
 
     # Lines
 
-    def put(self, text: str, target: str = "") -> None:
+    def append(self, text: str, target: str = "") -> None:
         """Append a line."""
         self.lines.append(Line(self.depth, text, target, self.line))
 
@@ -258,7 +258,7 @@ class Statements(Calls):
         self.turns += 1
         word = f"t{self.turns}"
         self.kinds[word] = value.type
-        self.put(bare(value.text), word)
+        self.append(bare(value.text), word)
         return Printed(value.type, word)
 
     def assign(self, target: Any, value: Value) -> None:
@@ -289,7 +289,7 @@ class Statements(Calls):
         self.turns += 1
         word = f"t{self.turns}"
         self.kinds[word] = value.type
-        self.put(bare(value.text), word)
+        self.append(bare(value.text), word)
         return Printed(value.type, word)
 
     def set_name(self, name: str, value: Value) -> None:
@@ -301,7 +301,7 @@ class Statements(Calls):
             return
         printed = self.whole(value)
         if printed.type == NOTHING:
-            self.known[name] = Parts(())
+            self.known[name] = TupleParts(())
             return
         word = self.words.get(name, name)
         kind = self.types.join(self.kinds.get(word), printed.type)
@@ -317,19 +317,19 @@ class Statements(Calls):
         self.known[name] = Printed(kind, c_word(word))
         if isinstance(kind, Array):
             self.program.arrays[c_word(word)] = kind
-        self.put(bare(text), c_word(word))
+        self.append(bare(text), c_word(word))
 
     def _If(self, line: ast.If) -> None:
         test = self.evaluate(line.test)
         if isinstance(test, Known):
             self.block(line.body if test.value else line.orelse)
             return
-        self.put(f"if ({bare(self.truth(test))}) {{")
+        self.append(f"if ({bare(self.truth(test))}) {{")
         self.inner(line.body)
         if line.orelse:
-            self.put("} else {")
+            self.append("} else {")
             self.inner(line.orelse)
-        self.put("}")
+        self.append("}")
 
     def _Return(self, line: ast.Return) -> None:
         value = Known(None) if line.value is None else self.evaluate(line.value)
@@ -338,7 +338,7 @@ class Statements(Calls):
         if kind is None:
             raise self.refused(f"it returns once {self.gives} and once {printed.type}")
         self.gives = kind
-        self.put("return;" if kind == NOTHING else f"return {bare(self.to(value, kind))};")
+        self.append("return;" if kind == NOTHING else f"return {bare(self.to(value, kind))};")
 
     def _While(self, line: ast.While) -> None:
         if line.orelse:
@@ -346,12 +346,12 @@ class Statements(Calls):
         self.loops += 1
         stops = self.faults
         at = len(self.lines)
-        self.put("")
+        self.append("")
         self.inner(line.body)
         test = self.truth(self.evaluate(line.test))
         self.lines[at] = self.lines[at]._replace(text=f"while ({test} && !*fault) {{" if self.faults or stops
                                                  else f"while ({bare(test)}) {{")
-        self.put("}")
+        self.append("}")
         self.loops -= 1
 
     def _For(self, line: ast.For) -> None:
@@ -361,11 +361,11 @@ class Statements(Calls):
         ends = self.range_of(line.iter)
         if ends is not None and (leaves or not all(isinstance(each, Known) for each in ends)
                                  or ends[1].value - ends[0].value > 16):
-            self.counted(line, self.to(ends[0], INT), self.to(ends[1], INT), None)
+            self.loop_over(line, self.to(ends[0], INT), self.to(ends[1], INT), None)
             return
         over = self.evaluate(line.iter)
         if isinstance(over, Printed) and isinstance(over.type, Array):
-            self.counted(line, "0", str(over.type.count), self.temporary(over))
+            self.loop_over(line, "0", str(over.type.count), self.temporary(over))
             return
         if leaves:
             raise self.refused("`break` and `continue` stand in a loop over a range or a tuple of like numbers")
@@ -386,37 +386,37 @@ class Statements(Calls):
         ends = [self.evaluate(each) for each in node.args]
         return [Known(0), *ends] if len(ends) == 1 else ends
 
-    def counted(self, line: ast.For, first: str, last: str, over: Printed | None) -> None:
+    def loop_over(self, line: ast.For, first: str, last: str, over: Printed | None) -> None:
         """A loop that stays one: over whole numbers, or over the parts of an array."""
         self.loops += 1
         self.turns += 1
         i = f"i{self.turns}"
-        self.put(f"for (int64_t {i} = {bare(first)}, n_{i} = {bare(last)}; {i} < n_{i}; {i}++) {{")
+        self.append(f"for (int64_t {i} = {bare(first)}, n_{i} = {bare(last)}; {i} < n_{i}; {i}++) {{")
         self.depth += 1
         if not (isinstance(line.target, ast.Name) and line.target.id == "_"):
             one = Printed(INT, i) if over is None else Printed(over.type.of, f"{over.text}.at[{i}]")
             self.assign(line.target, one)
         self.block(line.body)
         self.depth -= 1
-        self.put("}")
+        self.append("}")
         self.loops -= 1
 
     def _Break(self, line: ast.Break) -> None:
-        self.put("break;")
+        self.append("break;")
 
     def _Continue(self, line: ast.Continue) -> None:
-        self.put("continue;")
+        self.append("continue;")
 
 
 def needed(lines: list[Line], keep: str) -> list[Line]:
     """The lines without those that set what nothing reads; a value that may fault is still worked out."""
     while True:
         words = [set(re.findall(r"[A-Za-z_]\w*", line.text)) for line in lines]
-        kept = set(re.findall(r"[A-Za-z_]\w*", keep))
+        lasting = set(re.findall(r"[A-Za-z_]\w*", keep))
         made: list[Line] = []
         for line in lines:
-            is_read = line.target in kept or any(line.target in found for other, found in zip(lines, words, strict=True)
-                                                 if other.target != line.target)
+            is_read = line.target in lasting or any(
+                line.target in names for each, names in zip(lines, words, strict=True) if each.target != line.target)
             if not line.target or is_read:
                 made.append(line)
             elif "fault" in line.text:

@@ -14,7 +14,20 @@ from typing import Any, NamedTuple
 
 from teleop.emit.expressions import bare, c_word
 from teleop.emit.statements import Line, Program, Statements, stores
-from teleop.emit.types import BOOL, DOUBLE, INT, NOTHING, Array, NotPrinted, Parts, Printed, Types, Value, comment, part
+from teleop.emit.types import (
+    BOOL,
+    DOUBLE,
+    INT,
+    NOTHING,
+    Array,
+    NotPrinted,
+    Printed,
+    TupleParts,
+    Types,
+    Value,
+    comment,
+    part,
+)
 from teleop.law import messages
 from teleop.scene.scene import Scene
 from teleop.simulation.expressions import Known
@@ -34,13 +47,13 @@ WHAT = {  # the inputs and outputs that all ends have
 }
 
 
-class Start(NamedTuple):
+class StartReading(NamedTuple):
     """A number that is the reading of an axis where the end starts."""
 
     axis: int
 
 
-class Tick(NamedTuple):
+class PrintedTick(NamedTuple):
     """The printed tick of one end: texts of C, and what the other files need to call it."""
 
     program: Program
@@ -68,7 +81,7 @@ class TickPrinter(Statements):
         return super()._Name(node)
 
     def whole(self, value: Value) -> Printed:
-        if isinstance(value, Known) and isinstance(value.value, Start):
+        if isinstance(value, Known) and isinstance(value.value, StartReading):
             return self.whole(self.known[f"x_read_{self.names['@end']}{value.value.axis}"])
         return super().whole(value)
 
@@ -85,10 +98,10 @@ class TickPrinter(Statements):
         return outputs, lines
 
     def is_number(self, value: Value) -> bool:
-        return isinstance(getattr(value, "value", None), Start) or super().is_number(value)
+        return isinstance(getattr(value, "value", None), StartReading) or super().is_number(value)
 
 
-def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = None, real: str = DOUBLE) -> Tick:
+def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = None, real: str = DOUBLE) -> PrintedTick:
     """The tick of an end, m or s. Raises `NotPrinted`, with file and line, where a function has no lines in C."""
     made = lines(live_structure(structure_of(scene), e, sensor), live, ends=(e,), engine="scalar").made
     split = Generator.of(made.tree)
@@ -104,26 +117,26 @@ def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = Non
     for name, node in split.aliases({*fixed}).items():
         printer.known = fixed
         fixed[name] = printer.evaluate(node)
-    kept = [name for name in split.kept if name not in fixed]
+    lasting = [name for name in split.lasting if name not in fixed]
 
-    def run(known: dict[str, Value], body: Sequence[ast.stmt], depth: int = 1) -> Section:
+    def run(known: dict[str, Value], body: Sequence[ast.stmt], depth: int = 1) -> PrintedSection:
         turns = printer.turns
         printer.start({**fixed, **known}, [*body])
         printer.turns = turns  # the two functions are rendered in the end, so no name of a copy is used twice
-        printer.stores.update(kept + kept)
+        printer.stores.update(lasting + lasting)
         printer.depth = depth
         printer.block([line for line in body if not (stores([line]) and stores([line]) <= {*fixed})])
-        return Section(printer.lines, printer.declared, printer.known)
+        return PrintedSection(printer.lines, printer.declared, printer.known)
 
     def state() -> dict[str, Any]:
-        return {name: printer.kinds[name] for name in kept if printer.kinds.get(name, NOTHING) != NOTHING}
+        return {name: printer.kinds[name] for name in lasting if printer.kinds.get(name, NOTHING) != NOTHING}
 
     for _ in range(8):
         before, printer.turns = dict(printer.kinds), 0
         begun = run(dict(starts), split.prologue)
         for word in words:
             printer.kinds.pop(word, None)
-        entry = {name: begun.known[name] for name in kept if name in begun.known}
+        entry = {name: begun.known[name] for name in lasting if name in begun.known}
         entry |= {name: Printed(kind, c_word(name)) for name, kind in state().items()}
         entry |= {word: Printed(inputs[field], f"in->{field}") for word, field in words.items() if field in inputs}
         first = run(entry, split.between, depth=2)
@@ -156,8 +169,8 @@ def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = Non
     inputs = {name: kind for name, kind in inputs.items() if re.search(rf"in->{name}\b", text)}
     literal = ", ".join([types.literal(_without_starts(values[name]), kind) for name, kind in parameters.items()
                          if kind != NOTHING])
-    return Tick(program, prefix, text, f"{{{literal}}}", {"params": parameters, "state": members or {"nothing": BOOL},
-                                                          "in": inputs, "out": outputs}, names, scene.axes)
+    records = {"params": parameters, "state": members or {"nothing": BOOL}, "in": inputs, "out": outputs}
+    return PrintedTick(program, prefix, text, f"{{{literal}}}", records, names, scene.axes)
 
 
 FUNCTIONS = """\
@@ -188,7 +201,7 @@ def _unread(text: str, *names: str) -> str:
     return "".join([f"    (void){name};\n" for name in names if not re.search(rf"\b{name}\b", text)])
 
 
-class Section(NamedTuple):
+class PrintedSection(NamedTuple):
     """Printed lines, the variables that are declared before them, and what names stand for behind them."""
 
     lines: list[Line]
@@ -215,7 +228,7 @@ class Generator(NamedTuple):
                    tuple([each.id for each in loop.body[-1].targets[0].elts]), loop.body[-1].value.value)
 
     @property
-    def kept(self) -> list[str]:
+    def lasting(self) -> list[str]:
         """The variables that live from one tick to the next."""
         answer = ast.copy_location(ast.Expr(self.answer), self.turn[-1])
         begun = stores([*self.prologue, *self.between])
@@ -223,16 +236,16 @@ class Generator(NamedTuple):
 
     def aliases(self, parameters: set[str]) -> dict[str, ast.expr]:
         """Variables that are parts of the parameters by another name, and never set again."""
-        found: dict[str, ast.expr] = {}
+        parts: dict[str, ast.expr] = {}
         for line in self.prologue:
             if isinstance(line, ast.Assign) and isinstance(line.targets[0], ast.Name) and len(line.targets) == 1:
                 name, node = line.targets[0].id, line.value
                 while isinstance(node, ast.Attribute | ast.Subscript):
                     node = node.value
                 again = stores([*self.between, *self.turn, *[each for each in self.prologue if each is not line]])
-                if isinstance(node, ast.Name) and node.id in {*parameters, *found} and name not in again:
-                    found[name] = line.value
-        return found
+                if isinstance(node, ast.Name) and node.id in {*parameters, *parts} and name not in again:
+                    parts[name] = line.value
+        return parts
 
 
 def reads(nodes: Sequence[ast.AST]) -> set[str]:
@@ -243,26 +256,26 @@ def reads(nodes: Sequence[ast.AST]) -> set[str]:
 
 def read_first(body: Sequence[ast.stmt], defined: set[str]) -> set[str]:
     """The names that are read before they are certainly set; `defined` gains those that are set."""
-    found: set[str] = set()
+    unset: set[str] = set()
     for line in body:
         if isinstance(line, ast.If):
             ways = [set(defined), set(defined)]
-            found |= reads([line.test]) - defined
-            found |= read_first(line.body, ways[0]) | read_first(line.orelse, ways[1])
+            unset |= reads([line.test]) - defined
+            unset |= read_first(line.body, ways[0]) | read_first(line.orelse, ways[1])
             defined |= ways[0] & ways[1]
         elif isinstance(line, ast.For):
-            found |= (reads([line.iter]) - defined) | read_first(line.body, defined | stores([line.target]))
+            unset |= (reads([line.iter]) - defined) | read_first(line.body, defined | stores([line.target]))
         elif isinstance(line, ast.AugAssign):
-            found |= (reads([line]) | stores([line])) - defined
+            unset |= (reads([line]) | stores([line])) - defined
             defined |= stores([line])
         else:
-            found |= reads([line]) - defined
+            unset |= reads([line]) - defined
             defined |= stores([line])
-    return found
+    return unset
 
 
 def _start_numbers(scene: Scene, e: str) -> Any:
-    """The numbers of an end's stages, with a `Start` where one is the reading at which the end starts."""
+    """The numbers of an end's stages, with a `StartReading` where one is the reading at which the end starts."""
     shape, dt = getattr(structure_of(scene), e), scene.dt_ns / 1e9
     probes = []
     for shift in (0.0123, -0.0457):
@@ -271,7 +284,7 @@ def _start_numbers(scene: Scene, e: str) -> Any:
         for stage in shape.stages:
             stage.numbers(scene, e, dt, places)  # which an encoder rounds
         probes.append((numbers, places))
-    (one, at_one), (other, at_other) = probes
+    (one, at_one), (another, at_another) = probes
 
     def marked(a: Any, b: Any) -> Any:
         if isinstance(a, tuple):
@@ -280,16 +293,16 @@ def _start_numbers(scene: Scene, e: str) -> Any:
         if a == b or (isnan(a) and isnan(b)):
             return a
         for i in range(scene.axes):
-            if (a, b) == (at_one[i], at_other[i]):
-                return Start(i)
+            if (a, b) == (at_one[i], at_another[i]):
+                return StartReading(i)
         raise NotPrinted(f"{scene.name}, end {e}: a stage begins with a number that depends on where the end starts, "
                          "and is not its reading there, so no `init` can be printed for it")
 
-    return record("Given", (e,))(marked(one, other))
+    return record("Given", (e,))(marked(one, another))
 
 
 def _has_start(value: Any) -> bool:
-    return isinstance(value, Start) or (isinstance(value, tuple) and any(map(_has_start, value)))
+    return isinstance(value, StartReading) or (isinstance(value, tuple) and any(map(_has_start, value)))
 
 
 def _without_starts(value: Any) -> Any:
@@ -298,20 +311,20 @@ def _without_starts(value: Any) -> Any:
         return value
     if hasattr(value, "_fields"):
         return type(value)(*map(_without_starts, value))
-    if any(isinstance(each, Start) for each in value):
+    if any(isinstance(each, StartReading) for each in value):
         return ()
     return tuple(map(_without_starts, value))
 
 
 def _parameter(value: Any, printed: Value) -> Value:
-    """What stands for a parameter: its place in C, or parts, where one of them is a start."""
+    """Value of a parameter: its place in C, or parts, where one of them is a start."""
     has_place = isinstance(printed, Printed) and printed.type != NOTHING
     if not _has_start(value):
         return printed if has_place else Known(value)
-    if isinstance(value, Start):
+    if isinstance(value, StartReading):
         return Known(value)
     parts = [_parameter(each, part(printed, i) if has_place else Known(each)) for i, each in enumerate(value)]
-    return Parts(tuple(parts), type(value) if hasattr(value, "_fields") else None)
+    return TupleParts(tuple(parts), type(value) if hasattr(value, "_fields") else None)
 
 
 def _inputs(scene: Scene, e: str, program: Program) -> dict[str, Any]:

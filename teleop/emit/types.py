@@ -60,21 +60,21 @@ class Printed(NamedTuple):
     fixed: bool = False
 
 
-class Parts(NamedTuple):
+class TupleParts(NamedTuple):
     """Values side by side, of a NamedTuple's class or of none."""
 
     values: tuple[Any, ...]
     of_class: Any = None
 
 
-class Method(NamedTuple):
+class MethodOf(NamedTuple):
     """A function and its first argument."""
 
     function: Any
     first: Any
 
 
-Value = Any  # Known, Printed, Parts or Method
+Value = Any  # Known, Printed, TupleParts or MethodOf
 
 
 class Types:
@@ -249,16 +249,16 @@ def comment(text: str) -> str:
 
 @lru_cache
 def units_of(of_class: Any) -> dict[str, str]:
-    """What the source of a class says behind its fields, or in their knobs: mostly their units."""
+    """Comments of a class behind its fields, or what their knobs say: mostly their units."""
     try:
         lines = getsource(of_class).splitlines()
     except (OSError, TypeError):
         return {}
-    found = {}
+    notes = {}
     for line in lines:
         if match := re.match(r"\s+(\w+): [^#]*#\s*(.*)$", line):
-            found[match[1]] = match[2]
+            notes[match[1]] = match[2]
     for name, hint in (get_type_hints(of_class, include_extras=True) if is_dataclass(of_class) else {}).items():
         for knob in getattr(hint, "__metadata__", ()):
-            found[name] = ", ".join(filter(None, (getattr(knob, "unit", ""), getattr(knob, "meaning", ""))))
-    return found
+            notes[name] = ", ".join(filter(None, (getattr(knob, "unit", ""), getattr(knob, "meaning", ""))))
+    return notes

@@ -1,4 +1,4 @@
-"""What Python answers to inputs, tick by tick: the reference that printed C is compared with.
+"""Answers of Python to inputs, tick by tick: the reference that printed C is compared with.
 
 A row is an `init` or a tick, as numbers: which of the two, whether Python raised, the inputs, and the answer. Where
 Python raised at a tick its generator is over, so a new one is brought to the same state by the inputs since it began.
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from math import inf, nan
 from typing import Any, NamedTuple
 
-from teleop.emit.ticks import Tick
+from teleop.emit.ticks import PrintedTick
 from teleop.emit.types import NOTHING, SCALARS, Array, Printed, Struct, part, parts_of
 from teleop.law import messages
 from teleop.scene.scene import Scene
@@ -44,7 +44,7 @@ def places(kind: Any, text: str) -> Iterator[tuple[str, str]]:
                 yield from places(of, one.text)
 
 
-def vectors(scene: Scene, e: str, tick: Tick, *, count: int, seed: int = 0, wild: float = 0.0, again: int = 500,
+def vectors(scene: Scene, e: str, tick: PrintedTick, *, count: int, seed: int = 0, wild: float = 0.0, again: int = 500,
             sensor: bool | None = None) -> Vectors:
     """`count` rows. `wild`: the share of numbers that are infinite, NaN, subnormal or huge; `again`: ticks from one
     `init` to the next."""
@@ -52,8 +52,8 @@ def vectors(scene: Scene, e: str, tick: Tick, *, count: int, seed: int = 0, wild
     answers = [each for name, kind in tick.records["out"].items() for each in places(kind, f"out->{name}")]
     width = max(len(inputs), 3 * scene.axes)
     rows: list[list[float]] = []
-    hand = Inputs(scene, e, seed, wild)
-    end = End(scene, e, sensor)
+    hand = DrawnInputs(scene, e, seed, wild)
+    end = ReferenceEnd(scene, e, sensor)
     while len(rows) < count:
         if end.past is None or len(end.past) >= again:
             start = hand.start()
@@ -85,7 +85,7 @@ def _numbers(value: Any) -> Iterator[Any]:
         yield value
 
 
-class End:
+class ReferenceEnd:
     """The generator of an end, which begins again where it raised."""
 
     def __init__(self, scene: Scene, e: str, sensor: bool | None) -> None:
@@ -125,8 +125,8 @@ class End:
         return answer
 
 
-class Inputs:
-    """Inputs of an end that a seed draws: a hand that moves, messages that come, come late or not at all."""
+class DrawnInputs:
+    """DrawnInputs of an end that a seed draws: a hand that moves, messages that come, come late or not at all."""
 
     def __init__(self, scene: Scene, e: str, seed: int, wild: float) -> None:
         import numpy as np
@@ -148,7 +148,7 @@ class Inputs:
         return self._number(size * float(self._dice.normal()))
 
     def start(self) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-        """Where the end begins: position, velocity and external force, per axis."""
+        """Draw where the end begins: position, velocity and external force, per axis."""
         axes = range(self._scene.axes)
         self._k, self._newest, self._gain = int(self._dice.integers(0, 1000)), -1, 1.0
         self._x, self._v = [0.05 * float(self._dice.normal()) for _ in axes], [0.0 for _ in axes]

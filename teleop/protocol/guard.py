@@ -114,7 +114,7 @@ def guard_step(
     c: WatchdogLimits, s: GuardState, dt: float, every: int, lapses: float, k: int, got: bool, arrived: int, age: int,
     unheard: float, trouble: int, over: int,
 ) -> tuple[GuardState, int]:
-    """The guard at tick `k`, and the cause that it found at this one, -1 for none; see `ForceGuard.step`.
+    """The guard at tick `k`, and the cause that it finds at this one, -1 for none; see `ForceGuard.step`.
 
     `trouble` and `over` are causes by their places, or -1. `lapses`: own ticks from one that ran to the next by which a
     device has let its force go by itself.
@@ -127,17 +127,17 @@ def guard_step(
     elif got:
         heard = max(heard, min(k, arrived))
         waits = waits and (k - heard) // every > timeout_ticks
-    silent, not_heard, found = (k - heard) // every, unheard > timeout_ticks * dt, trouble
-    if found < 0 and (passed - 1 > timeout_ticks or passed > lapses):
-        found = STALL
-    elif found < 0 and over >= 0:
-        found = over
-    elif found < 0 and silent > timeout_ticks:
-        found = AGE if (k - old_k) // every <= timeout_ticks else SILENCE
-    elif found < 0 and not_heard and (s.cause < 0 or s.cause == NO_ANSWER):
-        found = NO_ANSWER
-    cause = found if found >= 0 else s.cause
-    waits = waits or found >= 0
+    silent, not_heard, cause_now = (k - heard) // every, unheard > timeout_ticks * dt, trouble
+    if cause_now < 0 and (passed - 1 > timeout_ticks or passed > lapses):
+        cause_now = STALL
+    elif cause_now < 0 and over >= 0:
+        cause_now = over
+    elif cause_now < 0 and silent > timeout_ticks:
+        cause_now = AGE if (k - old_k) // every <= timeout_ticks else SILENCE
+    elif cause_now < 0 and not_heard and (s.cause < 0 or s.cause == NO_ANSWER):
+        cause_now = NO_ANSWER
+    cause = cause_now if cause_now >= 0 else s.cause
+    waits = waits or cause_now >= 0
     if waits:
         silent = _NEVER
     quiet = s.quiet_ticks
@@ -147,7 +147,7 @@ def guard_step(
     shareless = 0 if gain > 0.0 else s.shareless + passed
     if quiet - silent > c.settle:
         cause = -1
-    return GuardState(gain, cause, k, heard, quiet, waits, old_k, shareless), found
+    return GuardState(gain, cause, k, heard, quiet, waits, old_k, shareless), cause_now
 
 
 def guard_fall(gain: float, step: float, passed: int, lapses: float) -> float:
@@ -262,15 +262,15 @@ class ForceGuard:
                 return 1.0
         before = GuardState(self.gain, -1 if self.reason is None else CAUSES.index(self.reason.cause), k_before,
                             self._heard, self._quiet_ticks, self._waits, self._old_k, self._shareless)
-        after, found = guard_step(
+        after, cause = guard_step(
             self._c, before, self._dt, every, self._lapses, k, got, k if arrived is None else arrived, age, unheard,
             -1 if trouble is None else CAUSES.index(trouble.cause), -1 if over is None else CAUSES.index(over.cause))
         self.gain, _, _, self._heard, self._quiet_ticks, self._waits, self._old_k, self._shareless = after
         self.lapsed = passed > self._lapses
         if got and self._old_k == k:
             self.old, self.oldest = self.old + 1, max(self.oldest, age / every * self._dt)
-        if found >= 0:
-            self._enter(k, trouble or self._reason(CAUSES[found], passed - 1, over))
+        if cause >= 0:
+            self._enter(k, trouble or self._reason(CAUSES[cause], passed - 1, over))
         if self.safe and after.cause < 0:
             self.safe, self.reason = False, None
             self.tell(k, "released", f"fresh packets for {self._dog.settle:g} s")

@@ -1,40 +1,21 @@
-"""Printed ends, compiled with every warning an error, beside Python at more ticks than check.c has."""
+"""Printed ends, compiled with every warning an error, beside Python; a test is skipped where there is no compiler."""
 
 from __future__ import annotations
 
-import struct
-import subprocess
 from pathlib import Path
 
-from teleop.emit.files import FLAGS, Files, files
-from teleop.emit.vectors import Vectors, vectors
+from teleop.emit.compiled import COMPILERS, build, differences
+from teleop.emit.files import Files, files
+from teleop.emit.vectors import vectors
 from teleop.scene.scene import Scene
-from tests.programs import COMPILERS, program
+from tests.programs import program
+
+__all__ = ["assert_same", "compiled", "differences"]
 
 
 def compiled(made: Files, folder: Path, *flags: str) -> Path:
-    """The program of check.c; the test is skipped where there is no compiler."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, text in made.texts.items():
-        (folder / name).write_text(text)
-    code = next(name for name in made.texts if name.endswith(".c") and name != "check.c")
-    words = [program(*COMPILERS), *FLAGS.split(), *flags, code, "check.c", "-lm", "-o", "check"]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[:2000]
-    return folder / "check"
-
-
-def differences(built: Path, rows: Vectors | None = None) -> str:
-    """What a program of check.c prints, of its own rows or of these; "" where every bit is the same."""
-    words = [program(built)]
-    if rows is not None:
-        file = built.parent / "rows"
-        file.write_bytes(b"".join([struct.pack(f"{len(row)}d", *row) for row in rows.rows]))
-        words.append(str(file))
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode in (0, 1), done.stderr
-    assert (done.returncode == 1) == ("all bits" not in done.stdout)
-    return done.stdout * done.returncode
+    """The program of check.c."""
+    return build(made, folder, program(*COMPILERS), flags)
 
 
 def assert_same(scene: Scene, e: str, folder: Path, *, count: int = 1000, again: int = 150) -> Files:

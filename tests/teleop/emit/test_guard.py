@@ -14,7 +14,7 @@ import pytest
 
 from teleop import Cap, Scene, Watchdog, load_scene
 from teleop.emit.files import FLAGS, files
-from teleop.emit.vectors import End
+from teleop.emit.vectors import ReferenceEnd
 from teleop.law import messages
 from teleop.protocol.guard import BLIND_NS, CAUSES, ForceGuard, HeldForce
 from teleop.protocol.states import Cause, Reason
@@ -69,7 +69,7 @@ class Reference:
     """The end in Python, with the order of things that `Endpoint` has."""
 
     def __init__(self, scene: Scene, e: str) -> None:
-        self.scene, self.e, self.end = scene, e, End(scene, e, False)
+        self.scene, self.e, self.end = scene, e, ReferenceEnd(scene, e, False)
 
     def begin(self, at: Moment) -> None:
         """A session begins."""
