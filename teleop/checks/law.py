@@ -91,8 +91,9 @@ def try_c(law: Any, scene: Scene) -> None:
 
     for e in ("m", "s") if scene.slave is not None else ("m",):
         for difference in compare(scene, e, find_compiler()):
-            raise Refused(f"{type(law).__name__} is another law in C, at the end {e}: {difference.splitlines()[0]}; this "
-                          "is a defect of teleop emit, so report it with the law")
+            first = difference.splitlines()[0]
+            raise Refused(f"{type(law).__name__} is another law in C, at the end {e}: {first}; this is a defect "
+                          "of teleop emit, so report it with the law")
 
 
 def is_one_port(law: Any) -> bool:
