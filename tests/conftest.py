@@ -7,15 +7,22 @@ many workers as `-n` says, and whatever starts processes and looks at the clock 
 that no two of these wait for each other. The pages before stand-ins of the ends, and the browsers before stand-ins of
 the page's server, go to another. These two sleep most of their time, so there is a worker more than there are cores.
 
+Bytecode is written whatever the environment says: tests start hundreds of processes, and each would compile anew. On a
+fresh checkout each worker first imports a part of the files that is its own, so that no two compile the same.
+
 No example of hypothesis is judged by its time, which is the machine's. The examples are the same at every run, so that
 what falls falls again; only the tests marked `fuzz` draw new ones, and print what repeats a failure.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import signal
+import sys
+from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +42,8 @@ CLOCKLESS = ("tests/live/test_stepped.py", "tests/live/test_device_lock.py")  # 
 STAND_INS = "tests/live/page/"
 REAL = ("test_real.py",)  # of these files there: with the ends of a run
 
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 settings.register_profile(
     "suite", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, database=None,
     print_blob=True,
@@ -48,6 +57,18 @@ def pytest_configure() -> None:
     """Let processes of tests take a Ctrl-C, which a suite that was started in the background ignores."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session: pytest.Session) -> None:
+    """Begin at a place of each worker's own among the files, if all are collected by several."""
+    worker = getattr(session.config, "workerinput", None)
+    if worker is not None and session.config.args == session.config.getini("testpaths"):
+        files = sorted(Path(__file__).parent.rglob("test_*.py"))
+        start = int(worker["workerid"].removeprefix("gw")) * len(files) // worker["workercount"]
+        for file in files[start:] + files[:start]:
+            with suppress(BaseException):  # what cannot be imported, the collection reports
+                import_module(".".join(file.relative_to(session.config.rootpath).with_suffix("").parts))
 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses
