@@ -1,10 +1,10 @@
 """Random numbers: Philox as published, keyed as stated, uniform and normal."""
 
 import numpy as np
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import Generator, Philox
-from scipy import stats
 
 from channel.rng import BLOCK, KEY, Rng, inside, unit
 
@@ -73,8 +73,8 @@ def test_numbers_have_their_distributions_and_are_independent() -> None:
     packet = np.arange(20_000)
     base = Rng(1, 0, 0)
     u, z = base.uniform(packet), base.normal(packet)
-    assert stats.kstest(u, "uniform").pvalue > 1e-3
-    assert stats.kstest(z, "norm").pvalue > 1e-3
+    assert scipy.stats.kstest(u, "uniform").pvalue > 1e-3
+    assert scipy.stats.kstest(z, "norm").pvalue > 1e-3
     others = [base.uniform(packet, draw=1), base.uniform(packet, word=1), Rng(2, 0, 0).uniform(packet),
               Rng(1, 1, 0).uniform(packet), Rng(1, 0, 1).uniform(packet), np.roll(u, 1)]
     for other in others:

@@ -138,8 +138,8 @@ class TestASweep:
         def run(out: str, **env: str) -> subprocess.CompletedProcess[str]:
             return subprocess.run(
                 [sys.executable, "-m", "scenarios", "sweep", "virtual_wall", "--grid", "law.K=1e3,2e3", "--set",
-                 "duration=0.05", "--engine", "scalar", "--json", "--out", out], cwd=place, capture_output=True,
-                text=True, check=False,
+                 "duration=0.05", "--metrics", "f_m_max", "--engine", "scalar", "--json", "--out", out], cwd=place,
+                capture_output=True, text=True, check=False,
                 env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(place / "cache"), **env})
 
         return run

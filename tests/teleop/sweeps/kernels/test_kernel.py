@@ -303,12 +303,14 @@ class Mine:
     def master(self, s, at, rx): return push(at.x - rx.x), Word(at.x), s
     def slave(self, s, at, rx): return self.K * (rx.x - at.x) - 4.0 * at.v, Word(at.x), s
 
-plan = plan_sweep("free_motion", {"delay": [0.01, 0.02]}, fixed={"law": Mine(), "duration": 0.1}, engine="scalar")
+plan = plan_sweep("free_motion", {"delay": [0.01, 0.02]}, fixed={"law": Mine(), "duration": 0.1}, metrics=["f_m_max"],
+                  engine="scalar")
 print(carry_out(plan).counts(), dict(plan.ran))
 """
 SMALL = """
 from teleop.sweeps.runner import carry_out, plan_sweep
-plan = plan_sweep("virtual_wall", {"k": [1e3, 2e3]}, fixed={"energy": False, "duration": 0.1}, engine="scalar")
+plan = plan_sweep("virtual_wall", {"k": [1e3, 2e3]}, fixed={"energy": False, "duration": 0.1},
+                  metrics=["f_m_max"], engine="scalar")
 print(carry_out(plan).counts(), dict(plan.ran))
 """
 

@@ -28,17 +28,15 @@ STIFFNESSES = (10.0, 100.0, 1000.0)
 def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """`drawn(table, ...)` draws it and returns matplotlib's figure, to be looked into."""
     made: list[Any] = []
-    save = figures.Figure.savefig
 
-    def remember(figure: Any, *rest: Any, **named: Any) -> None:
+    def remember(figure: Any, *_: Any, **__: Any) -> None:
+        figure.draw_without_rendering()  # nobody looks at the pixels here
         made.append(figure)
-        save(figure, *rest, **{**named, "dpi": 20})  # nobody looks at the pixels here
 
     monkeypatch.setattr(figures.Figure, "savefig", remember)
 
     def look(table: Table, *rest: Any, **named: Any) -> Any:
         draw(table, tmp_path / "picture", *rest, **named)
-        assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
         return made[-1]
 
     return look
