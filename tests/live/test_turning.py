@@ -15,8 +15,10 @@ from master.hand_record import HandRecording
 from teleop.__main__ import main
 from teleop.live.orders import OF_THE_RELAY, SHAPES, Orders
 from teleop.live.records.merge import load_result, merge, scene_of
+from teleop.live.records.reader import FILE, IDLE, GrowingRecord
 from teleop.live.records.record import read_events
 from tests.live.ordered import Ordered
+from tests.waiting import until
 
 pytestmark = pytest.mark.live
 KNOBS = {"duration": "86400"}
@@ -43,6 +45,7 @@ class Story:
             self.halves(run)
             self.pause(run)
             self.refuse(run)
+            self.idle(run)
             since = run.now()
             run.turn(law="wave")
             run.turn(law="p_d")
@@ -80,6 +83,24 @@ class Story:
         run.order("ms", order="clutch", open=False)
         run.happens("ms", "released", since)
 
+    def idle(self, run: Ordered) -> None:
+        """The records end while the run goes on, until the turn that follows."""
+        run.order("ms", order="idle")
+        folder = self.idled = self.parts["halves"]
+        until(lambda: all((folder / end / IDLE).is_file() for end in ENDS.values()), "an end writes on")
+        self.sizes = {end: (folder / end / FILE).stat().st_size for end in ENDS.values()}
+        since = run.now()
+        self.idle_from = {e: run.event(e, lambda event: event["event"] == "live", since[e])["k"] for e in "ms"}
+        followers = [GrowingRecord(folder / end, IDLE) for end in ENDS.values()]
+        self.followed = [0, 0]
+        for i, one in enumerate(followers):
+            until(lambda i=i, one=one: self._follow(i, one) > 100, "no row can be followed")  # type: ignore[misc]
+            one.close()
+
+    def _follow(self, i: int, one: GrowingRecord) -> int:
+        self.followed[i] += len(one.read())
+        return self.followed[i]
+
     def refuse(self, run: Ordered) -> None:
         """Orders that cannot be carried out, and lines that are none."""
         since = run.now()
@@ -107,6 +128,16 @@ def story(tmp_path_factory: pytest.TempPathFactory) -> Story:
 def _column(folder: Path, name: str) -> tuple[Any, Any]:
     trace = load_result(folder).trace
     return np.rint(np.asarray(trace["t"]) * 1e3).astype(int), np.asarray(trace[name])
+
+
+def test_an_end_that_is_told_to_be_idle_ends_its_record_and_the_next_turn_begins_another(story: Story) -> None:
+    for e, end in ENDS.items():
+        assert (story.idled / end / FILE).stat().st_size == story.sizes[end]
+        assert not (story.idled / end / IDLE).exists(), "it is gone with the turn"
+        ticks = _column(story.idled / end, "t")[0]
+        assert ticks[-1] < story.idle_from[e]
+        assert np.isfinite(_column(story.idled / end, f"x_{e}")[1]).all()
+    assert main(["replay", str(story.idled / "master")]) == 0, "what is there is whole"
 
 
 def test_each_turn_has_a_record_of_its_own_and_says_what_it_was_turned_to(story: Story) -> None:
@@ -160,7 +191,8 @@ def test_the_force_is_zero_at_a_turn_and_no_step_is_more_than_the_slew_limit(sto
                 assert last == force[0] == 0.0
             steps = np.abs(np.diff(force)) / np.diff(ticks)  # N a tick, ticks that were left out counted
             assert steps.max(initial=0.0) <= 2.0 + 1e-9  # 2000 N/s
-            last = force[-1] if folder.name != f"{story.run.part:02}" else 0.0
+            ended = folder.name not in (f"{story.run.part:02}", story.idled.name)  # at a turn
+            last = force[-1] if ended else 0.0
 
 
 def test_the_law_of_every_part_is_replayed_to_the_bit_and_its_two_records_make_one_run(story: Story) -> None:

@@ -53,7 +53,7 @@ def command(args: Namespace) -> Answer:
             raise
         raise Refused(NEEDS) from error
     keep = inf if args.keep is None else size_of(args.keep)
-    controls = Controls(args.scene, knobs_from(args))
+    controls = Controls(args.scene, knobs_from(args), args.robot)
     view = None if args.robot is None else SideView(controls.first, args.robot)
     _ = controls.laws  # worked out now: where a scene reads files, it takes as long as many pictures
     ticks_of(controls.first, args.rate, lockstep=False, spin=args.spin)

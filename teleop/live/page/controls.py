@@ -89,11 +89,12 @@ class Slider(NamedTuple):
 class Controls:
     """Controls of the scene `name`, which take the place of its typed knobs where a page has touched them.
 
-    Raises `Refused` for a scene that cannot be shown.
+    `robot`: a MuJoCo model in place of the simulated slave, which brings what it touches with it. Raises `Refused` for
+    a scene that cannot be shown.
     """
 
-    def __init__(self, name: str, knobs: Mapping[str, str]) -> None:
-        self.name = name
+    def __init__(self, name: str, knobs: Mapping[str, str], robot: str | None = None) -> None:
+        self.name, self._robot = name, robot
         self._declared = knobs_of(scene_function(name))
         if "duration" in knobs:
             raise Refused("a page goes on until Ctrl-C, so duration sets nothing; leave it out")
@@ -157,7 +158,7 @@ class Controls:
         sliders = [Slider(name, *LABELS[name], 0.0, max(HIGHEST[name], getattr(first, name)),
                           getattr(self.link(choice), name), False) for name in HIGHEST]
         k_e = self.first.knobs.get("k_e")
-        if isinstance(k_e, float) and k_e > 0.0:
+        if isinstance(k_e, float) and k_e > 0.0 and self._robot is None:
             label, unit = LABELS["k_e"][0], self._declared["k_e"].knob.unit
             sliders.append(Slider("k_e", label, unit, k_e / 100.0, k_e * 10.0, choice.k_e or k_e, True))
         return sliders
@@ -194,7 +195,7 @@ class Controls:
             "type": "hello", "scene": self.name, "axes": scene.axes, "dt": scene.dt, "laws": self.laws,
             "law": law_name(scene.laws[0]), "gains": law_with_gains(parameters(scene)["law"]),
             "notes": untuned(scene), "sliders": [slider._asdict() for slider in self.sliders(choice)],
-            "wall": _wall(scene), "f_max": most_forces(scene)[0],
+            "wall": self._walls(scene)[0], "f_max": most_forces(scene)[0],
             "span": max(self.spans), **self._axes(scene),
             "link": "no link" if scene.link is None else describe(scene.link), "words": self.words(choice, scene),
             "energy": None if not scene.energy else "link" if scene.has_waves else "ports",
@@ -212,8 +213,8 @@ class Controls:
     def spans(self) -> list[float]:
         """Span of each axis to show, m or rad: its wall, its own motion, and room beside them."""
         most = [max(map(abs, path)) for path in self._paths] or [0.0] * self._short.axes
-        return [float(f"{2.5 * max(LEAST_SPAN / 2.5, abs(_wall(self._short, i) or 0.0), far):.2g}")
-                for i, far in enumerate(most)]
+        return [float(f"{2.5 * max(LEAST_SPAN / 2.5, abs(wall or 0.0), far):.2g}")
+                for far, wall in zip(most, self._walls(self._short), strict=True)]
 
     @cached_property
     def swing(self) -> HandSwing | None:
@@ -222,17 +223,21 @@ class Controls:
         if any(min(path[-last:]) != max(path[-last:]) for path in self._paths):
             return None
         about = tuple([path[0] for path in self._paths]) or (0.0,) * self._short.axes
-        walls = [_wall(self._short, i) for i in range(self._short.axes)]
+        walls = self._walls(self._short)
         return HandSwing(about, tuple([
             min(SWUNG * span, span if wall is None else FREE * abs(wall - at)) / (1 + i % 2)
             for i, (at, wall, span) in enumerate(zip(about, walls, self.spans, strict=True))]))
+
+    def _walls(self, scene: Scene) -> list[float | None]:
+        """Walls of the axes, m; None: no surface. Of a robot's models only the bundled one has those of its scene."""
+        return [_wall(scene, i) if self._robot in (None, "mujoco") else None for i in range(scene.axes)]
 
     def _axes(self, scene: Scene) -> dict[str, Any]:
         """Names, units, walls, caps and spans of several axes, or of one that turns; nothing of one along a line."""
         if scene.axes == 1 and not scene.units:
             return {}
         return {"names": scene.axis_names, "units": scene.axis_units, "caps": most_forces(scene), "spans": self.spans,
-                "walls": [_wall(scene, i) for i in range(scene.axes)]}
+                "walls": self._walls(scene)}
 
 
 def _group(name: str) -> str:
@@ -248,7 +253,7 @@ def most_forces(scene: Scene) -> list[float | None]:
     return [getattr(cap, "f_max", None) for cap in scene.per_axis("cap")]
 
 
-def _wall(scene: Scene, i: int = 0) -> float | None:
+def _wall(scene: Scene, i: int) -> float | None:
     """Position of the surface that the slave meets on an axis, m; None: no surface, or one on both sides."""
     environment: Any = scene.environments[i] if scene.environments else None
     still = getattr(environment, "environment", environment)

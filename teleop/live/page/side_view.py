@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 DIRECTIONS = 48  # of the sphere: of a mesh the vertices that are furthest in one of them
 ROUND = 12  # points of a cylinder's edge
 STEPS, CLOSE = 20, 1e-5  # of least squares; m
+LONGEST = 0.1  # m of a step: where a robot cannot reach, a longer one would swing it to and fro
 DAMPING = 1e-4  # m^2, beside J J^T
 SHOWN = 3  # groups of geoms that a viewer of MuJoCo shows unless it is asked for others
-ROOM = 1.15  # of the view beside what it has to show
+ROOM = 1.35  # of the view beside what it has to show
 
 
 class SideView:
@@ -102,6 +103,7 @@ class SideView:
                 return
             self._mujoco.mj_comPos(model, data)
             self._mujoco.mj_jacBody(model, data, jacobian, None, self._model.tip)
+            error *= min(1.0, LONGEST / float(np.linalg.norm(error)))
             of = jacobian[:, self._joints]
             data.qpos[self._places] += of.T @ np.linalg.solve(of @ of.T + DAMPING * np.eye(3), error)
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import re
+import stat
 from pathlib import Path
+from socket import socket
 
 import pytest
 
 from teleop.live.page import command
 from teleop.live.page.controls import (
+    GROUPS,
     HOLDS,
     PATIENCE,
     PROCESSES,
@@ -19,7 +24,8 @@ from teleop.live.page.controls import (
     SwitchQueue,
 )
 from teleop.live.page.rows import Extremes, Shaking
-from teleop.live.page.server import GARBAGE, LONGEST, MOST, SECONDS, Allowance, Garbage, hand_position, read
+from teleop.live.page.server import GARBAGE, HOST, LONGEST, MOST, SECONDS, Allowance, Garbage, hand_position, read
+from teleop.scene.library import ROOT
 
 FAST = Choice(law="pfra")
 
@@ -231,3 +237,78 @@ def test_the_token_is_on_no_command_line_when_the_browser_is_opened(
     [words] = started
     assert words[-1] == way.as_uri()
     assert "secret" not in " ".join(words)
+
+
+def test_a_hand_that_would_come_to_rest_swings_in_free_space_and_one_that_goes_on_does_not() -> None:
+    """`hard_wall` reaches into its wall and stays there: the page began pressed and still."""
+    for name in ("hard_wall", "soft_tissue", "arm", "leader_follower", "pose"):
+        controls = Controls(name, {})
+        swing, walls = controls.swing, controls.hello(Choice(), controls.first).get("walls")
+        if swing is None:
+            continue
+        for i, (about, by) in enumerate(zip(swing.about, swing.by, strict=True)):
+            wall = None if walls is None else walls[i]
+            assert 0.0 < by < 0.2 * controls.spans[i], name
+            assert wall is None or by < 0.9 * abs(wall - about), f"{name}: short of the wall"
+    assert Controls("hard_wall", {}).swing == ((0.0,), pytest.approx((0.018,)))
+    assert Controls("hard_wall", {"wall": "-0.02"}).swing == ((0.0,), pytest.approx((0.012,)))
+    assert Controls("canonical", {}).swing is None, "its own swing goes on"
+
+
+def test_the_laws_are_in_the_groups_that_the_first_page_has() -> None:
+    rows, group = {}, ""
+    for line in (ROOT / "README.md").read_text().partition("### The laws")[2].partition("\n*")[0].splitlines():
+        if (head := re.fullmatch(r"\| \| \*\*(.*)\*\* \|", line)) is not None:
+            group = head[1]
+        elif names := re.findall(r"`(\w+)`", line.split("|")[1] if line.startswith("| `") else ""):
+            rows.update(dict.fromkeys(names, group.capitalize()))
+    assert len(rows) == 17
+    laws = Controls("hard_wall", {}).laws
+    assert {law["name"]: law["group"] for law in laws} == {name: rows[name] for name in rows
+                                                           if name in {law["name"] for law in laws}}
+    assert len(laws) >= 16
+    assert [law["group"] for law in laws] == sorted((law["group"] for law in laws), key=GROUPS.index)
+
+
+def test_a_choice_is_told_in_words() -> None:
+    """It was told as `turned: law direct, delay(0.15)`."""
+    controls = Controls("hard_wall", {})
+    for choice, words in (
+        (Choice(law="direct", link=LinkSettings(0.15)), "direct, 150 ms each way"),
+        (Choice(link=LinkSettings(0.05, 0.02, 0.01), k_e=500.0),
+         "wave, 50 ms each way, up to 20 ms of jitter, 1 % of the packets dropped, stiffness 500 N/m"),
+    ):
+        assert controls.words(choice, controls.scene(choice)) == words
+    bursts = Controls("burst_loss", {})
+    assert "gilbert_elliott(" in bursts.words(Choice(), bursts.first), "a link of other effects is told as it is typed"
+
+
+def test_a_robots_own_model_brings_its_surroundings_and_so_has_no_wall_of_the_scene_and_no_stiffness() -> None:
+    hellos = [(controls := Controls("arm", {}, robot)).hello(Choice(), controls.first)
+              for robot in (None, "mujoco", "mujoco:mine.xml")]
+    assert [hello["wall"] for hello in hellos] == [0.03, 0.03, None]
+    assert ["k_e" in [slider["name"] for slider in hello["sliders"]] for hello in hellos] == [True, False, False]
+
+
+def test_a_page_that_is_started_again_has_the_port_and_the_token_of_the_last_one_for_a_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A browser that showed the page before it was started again had to be shown the new address."""
+    tmp_path.chmod(0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    port, token = command._address(None)
+    assert (port, len(token)) == (0, 22)
+    with socket() as free:
+        free.bind((HOST, 0))
+        port = free.getsockname()[1]
+        command._begun("secret", None, port)
+        assert command._address(None) != (port, "secret"), "the port is taken"
+    file, = tmp_path.rglob("page.json")
+    assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
+    assert command._address(None) == command._address(port) == (port, "secret")
+    assert command._address(port + 1)[1] != "secret"
+    os.utime(file, (0.0, 0.0))
+    assert command._address(None)[1] != "secret"
+    for damaged in ("", "{", '{"port": 0, "token": "secret"}', '{"port": 80}', "x" * 5000):
+        file.write_text(damaged)
+        assert command._address(None)[0] == 0, damaged
