@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -33,6 +35,7 @@ from teleop.sweeps.kernels.kernel import (
     tree_of,
 )
 from tests.engines.cases import CASES
+from tests.teleop.emit.printed import assert_same
 
 MAKERS = {"plain": plain_kernel, "scalar": scalar_kernel, "alike": vector_kernel, "apart": vector_kernel}
 Rows = list[tuple[str, int, dict[str, float]]]  # status, ticks and figures of each scene
@@ -75,6 +78,14 @@ def assert_as_runs(name: str) -> None:
         single = run(of, seed=seed)
         known = {key: single.metrics[key] for key in available(scenes[0]) if key in single.metrics}
         assert row == (single.status, single.ticks, known), seed
+
+
+def assert_printed(name: str) -> None:
+    """Hold the ends of a case, printed as C, to what Python answers to the same inputs."""
+    of = scenes_of(name)[0]
+    for e in ("m", "s") if of.slave is not None else ("m",):
+        with TemporaryDirectory() as folder:
+            assert_same(of, e, Path(folder))
 
 
 def assert_as_plain(name: str, engine: str, *, sums: bool = True) -> None:

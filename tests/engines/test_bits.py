@@ -6,6 +6,7 @@
     alike    compiled for eight side by side that share link and path
     apart    the same, each with a link and a path of its own
     stepped  two ends with their protocol, stepped in one process, beside a single run
+    c        each end printed as C and compiled, beside its generator, tame and wild (`teleop.emit`)
 
 X: in the ordinary suite, x: there without the figures that are fitted to sums, which take more than half of a kernel's
 compiling, f: with `-m full`, -: the engine refuses such a scene, blank: not held here. Kernels are kept in the user's
@@ -24,52 +25,53 @@ from tests.engines.engines import (
     assert_as_it_stands,
     assert_as_plain,
     assert_as_runs,
+    assert_printed,
     assert_stepped,
     plain_rows,
     scenes_of,
 )
 
 TABLE = """
-                                        tick  plain  scalar  alike  apart  stepped
-waves by their integral                 X     X      X       f      x      X
-waves of three axes                     f     f      f       f      f      f
-waves, ticks left out                   X     f      f              f      -
-waves, energy                           f     X      f              f      f
-waves, energy, ticks left out           f     f      f              f      -
-waves, fixed                            f     X      f              f      f
-waves, fixed, ticks left out            f     f      f              f      -
-waves, scaled, ticks left out           f     f      f              f      -
-forces that diverge                     f     X      f       f      f      X
-forces that diverge, constant delays    f     f      f       f      f      f
-limits, devices and a watchdog          X     X      x       f      x      X
-ticks left out                          X     X      f       x      f      -
-a one-port                              X     X      X       X      f      -
-a user's law, a clutch and gaps         X     X      x       f      X      X
-a user's law in two axes                f     f      f       f      f      f
-a clutch and a small slew limit         f     f      f       f             f
-a deadband                              X     X      f       f      f      -
-stages around a law                     f     X      x       f      f      f
-a coupling with branches                f     f      f       f      f      -
-axes of their own                       X     X      X       f      f      X
-eleven axes                             X     X      f                     f
-coupled axes without a link             X     X      f       f      f      f
-rotations                               X     X      x       f      f      X
-six axes                                f     f      f              f      f
-friction                                X     X      x       -      -      f
-soft and relaxing bodies that move      X     X      f       -      -      f
-relaxing, moved and none                f     f      x       -      -      f
-windows of readings                     X     X      x                     f
-end fit, friction                       f     f      f                     -
-best fit, electrical damping            f     f      f                     -
-end fit of one reading                  f     f      f                     -
-levant                                  f     f      f                     -
+                                        tick  plain  scalar  alike  apart  stepped c
+waves by their integral                 X     X      X       f      x      X       f
+waves of three axes                     f     f      f       f      f      f       f
+waves, ticks left out                   X     f      f              f      -       f
+waves, energy                           f     X      f              f      f       f
+waves, energy, ticks left out           f     f      f              f      -       f
+waves, fixed                            f     X      f              f      f       f
+waves, fixed, ticks left out            f     f      f              f      -       f
+waves, scaled, ticks left out           f     f      f              f      -       f
+forces that diverge                     f     X      f       f      f      X       f
+forces that diverge, constant delays    f     f      f       f      f      f       f
+limits, devices and a watchdog          X     X      x       f      x      X       X
+ticks left out                          X     X      f       x      f      -       f
+a one-port                              X     X      X       X      f      -       f
+a user's law, a clutch and gaps         X     X      x       f      X      X       X
+a user's law in two axes                f     f      f       f      f      f       f
+a clutch and a small slew limit         f     f      f       f             f       f
+a deadband                              X     X      f       f      f      -       f
+stages around a law                     f     X      x       f      f      f       X
+a coupling with branches                f     f      f       f      f      -       f
+axes of their own                       X     X      X       f      f      X       f
+eleven axes                             X     X      f                     f       f
+coupled axes without a link             X     X      f       f      f      f       f
+rotations                               X     X      x       f      f      X       f
+six axes                                f     f      f              f      f       f
+friction                                X     X      x       -      -      f       f
+soft and relaxing bodies that move      X     X      f       -      -      f       f
+relaxing, moved and none                f     f      x       -      -      f       f
+windows of readings                     X     X      x                     f       f
+end fit, friction                       f     f      f                     -       f
+best fit, electrical damping            f     f      f                     -       f
+end fit of one reading                  f     f      f                     -       f
+levant                                  f     f      f                     -       f
 """
 HEAD, *LINES = TABLE.strip("\n").splitlines()
 PLACES = {engine: HEAD.index(engine) for engine in HEAD.split()}
 CELLS = {(line[:40].strip(), engine): line[place:place + 1].strip()
          for line in LINES for engine, place in PLACES.items()}
 COMPILED = ("canonical", "recorded_reach", "encoder_wall", "virtual_coupling", "jittery_wan")
-CELLS |= {(name, engine): "f" for name in built_in_scenes() if name != "lte" for engine in ("tick", "plain")}
+CELLS |= {(name, engine): "f" for name in built_in_scenes() if name != "lte" for engine in ("tick", "plain", "c")}
 CELLS |= {(name, "scalar"): "f" for name in COMPILED}
 RUN = [pytest.param(name, engine, id=f"{engine}-{name.replace(' ', '_')}", marks=[pytest.mark.full] * (cell == "f"))
        for (name, engine), cell in CELLS.items() if cell in ("X", "x", "f")]
@@ -86,7 +88,8 @@ def test_an_engine_gives_the_bits_of_a_single_run(name: str, engine: str) -> Non
         pytest.importorskip("numba")
         assert_as_plain(name, engine, sums=CELLS[name, engine] != "x")
     else:
-        {"tick": assert_as_it_stands, "plain": assert_as_runs, "stepped": assert_stepped}[engine](name)
+        {"tick": assert_as_it_stands, "plain": assert_as_runs, "stepped": assert_stepped,
+         "c": assert_printed}[engine](name)
 
 
 @pytest.mark.parametrize(("name", "engine"), [cell for cell, mark in CELLS.items() if mark == "-"])

@@ -1,0 +1,98 @@
+"""The language of a law that can be printed as C: each row of the page's two tables, tried."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from teleop import Refused, load_scene
+from teleop.emit.files import files
+from tests.teleop.emit.printed import assert_same
+
+LAW = """
+from dataclasses import dataclass
+from math import *
+from typing import ClassVar, NamedTuple
+class Message(NamedTuple):
+    x: float
+    v: float
+class Memory(NamedTuple):
+    a: float
+def limited(x, low=-1.0, high=1.0):
+    if x < low:
+        return low
+    return high if x > high else x
+@dataclass(frozen=True, kw_only=True)
+class Tried:
+    K: float = 100.0
+    mode: str = "soft"
+    gains: tuple = (1.0, 2.0, 3.0)
+    claims: ClassVar = {}
+    def master_start(self, at):
+        return Memory(0.0), Message(at.x, 0.0)
+    def slave_start(self, at):
+        return Memory(0.0), Message(at.x, 0.0)
+    def slave(self, s, at, rx):
+        return self.K * (rx.x - at.x), Message(at.x, at.v), s
+    def master(self, s, at, rx):
+        f = self.K * (at.x - rx.x)
+        @line@
+        return f, Message(at.x, at.v), s
+"""
+ALLOWED = {
+    "early return": "if at.v > 0.1: return 0.0, Message(at.x, at.v), s",
+    "a loop over a tuple": "for g in self.gains: f = f + g * at.v",
+    "a loop over a range": "for k in range(20): f = f + k * at.v",
+    "while": "n = 0; \n        while n < 5 and f > 1.0: f = f / 2.0; n += 1",
+    "a helper with defaults and names": "f = limited(f, high=2.0)",
+    "a text knob": "f = f if self.mode == 'soft' else 2.0 * f",
+    "a comprehension over what is known": "f = max([g * at.v for g in self.gains])",
+    "abs": "f = f + abs(at.v)",
+    "exp": "f = f + exp(-abs(at.v))",
+}
+REFUSED = {
+    "f = f + at.v ** 2": "`**` is rounded otherwise from one libm to the next; write x * x",
+    "f = f + hypot(at.v, at.x)": "`hypot` is rounded otherwise in Python than in libm; write sqrt(x * x + y * y)",
+    "f = sum((at.v, at.x))": "`sum` compensates from Python 3.12 on, and C does not; write a + b + c",
+    "f = f // 2.0": "`//` has no line in C; write floor(a / b)",
+    "f = round(f, 3)": "`round` rounds by the decimal digits; write floor(x + 0.5)",
+    "f = f + len(f'{f}')": "an f-string has no line in C",
+    "g = [f]; f = g[0]": "a list has no line in C; write a tuple: [f]",
+    "g = {1: f}; f = g[1]": "a dict has no line in C",
+    "f = (lambda x: 2.0 * x)(f)": "a lambda within a function has no line in C",
+    "def g(x): return x": "a function within a function has no line in C",
+    "try: f = f / at.v\n        except ZeroDivisionError: f = 0.0": "`try` has no line in C",
+}
+
+
+def scene_of(line: str, folder: Path) -> Any:
+    """The canonical scene with a law that has this line."""
+    file = folder / "tried.py"
+    file.write_text(LAW.replace("@line@", line))
+    name = f"tried_{folder.name}_{abs(hash(line))}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return replace(load_scene("canonical"), law=module.Tried(), name="tried")
+
+
+def test_what_may_stand_in_a_law_has_the_bits_of_python(tmp_path: Path) -> None:
+    """All of them in one law: each changes the force."""
+    whole = "\n        ".join(ALLOWED.values())
+    assert_same(scene_of(whole, tmp_path), "m", tmp_path / "c")
+
+
+def test_what_may_not_is_refused_with_file_line_and_what_to_write(tmp_path: Path) -> None:
+    for line, why in REFUSED.items():
+        with pytest.raises(Refused) as refused:
+            files(scene_of(line, tmp_path), "m", "m")
+        text = str(refused.value)
+        assert f"tried.py:28: Tried.master: {why}" in text, text
+        assert "\n" not in text
