@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-PATIENCE = 60.0  # s after which a process or a condition that is waited for counts as missing
+PATIENCE = 150.0  # s after which a process or a condition that is waited for counts as missing
 
 
 def until(true: Callable[[], Any], missing: str = "it never came") -> None:

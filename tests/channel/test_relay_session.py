@@ -17,6 +17,7 @@ from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
 from tests.channel.site import MANIFEST, MASTER, MS, OTHER_HOME, SLAVE, UNKNOWN, Site, hello, request, sealed
 from tests.live.conftest import command, summary  # noqa: F401 (a fixture)
+from tests.waiting import PATIENCE
 
 # In the open
 
@@ -338,7 +339,7 @@ def test_a_channel_on_all_addresses_is_refused_to_ends_without_keys_or_said_at_a
     channel = command("channel", *scene, "--listen", "0.0.0.0:0", "--peer", f"127.0.0.1:{slave.port()}",
                       *["--insecure"] * insecure)
     master = command("master", *scene, "--peer", f"127.0.0.1:{channel.port()}", "--out", str(tmp_path / "m"),
-                     "--wait", "30" if insecure else "4")
+                     "--wait", f"{PATIENCE}" if insecure else "4")
     if insecure:
         ends = [one.end() for one in (master, slave)]
         assert [code for code, _, _ in ends] == [0, 0]

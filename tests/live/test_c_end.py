@@ -185,7 +185,8 @@ def test_waves_and_what_they_come_to_add_up_between_an_end_in_c_and_either_of_ou
     left, log = summary(tmp_path / "ours"), in_c.rows("c.csv")
     way = "bwd" if ours == "master" else "fwd"
     assert (left["packets"][way]["rejected"], counts["rejected"], counts["met"]) == ({}, 0, 1)
-    few = 0.5 * left["ticks"]
+    few = 0.5 * min(left["ticks"], len(log["k"]))  # either end leaves out what its machine is late for
+    assert few > 50
     assert min(counts["received"], left["packets"][way]["received"]) > few
     assert hears_what_it_said(tmp_path / "ours", (), log) > few
     sent, heard = told(tmp_path / "ours"), {"master": "u", "slave": "w"}[ours]

@@ -185,7 +185,7 @@ def test_an_end_whose_streams_are_closed_runs_to_its_end(closed: dict[str, str],
     at = f"127.0.0.1:{free_port()}"
     code = "import os, sys; [os.close(int(n)) for n in sys.argv[1].split()]; os.execv(sys.executable, sys.argv[2:])"
     both = []
-    for name, words in (("slave", ["--listen", at]), ("master", ["--peer", at, "--json", "--wait", "60"])):
+    for name, words in (("slave", ["--listen", at]), ("master", ["--peer", at, "--json", "--wait", f"{PATIENCE}"])):
         own = [sys.executable, "-m", name, *SCENE, "--out", name, *words]
         both.append(subprocess.Popen([sys.executable, "-c", code, closed[name], *own], cwd=tmp_path,
                                      env={**os.environ, "PYTHONPATH": str(ROOT)}))

@@ -133,7 +133,7 @@ def test_a_file_has_all_of_it_and_a_full_disk_raises_nothing(tmp_path: Path) -> 
 def test_last_words_wait_for_a_reader_that_comes_and_not_for_ever_for_one_that_does_not(pipe: tuple[int, int]) -> None:
     output, got = Output(pipe[1]), []
     fill(pipe[1])
-    output.wait(60.0)
+    output.wait(PATIENCE)
     reader = threading.Thread(target=lambda: got.append(os.read(pipe[0], 1 << 20)))
     reader.start()
     output.write(b"the end\n")
@@ -275,7 +275,7 @@ def test_two_ends_whose_output_nothing_reads_run_to_their_end(
     """Their live lines, their tables and their summaries go nowhere; the run and its record are whole."""
     port, scene = free_port(), ["hard_wall", "--set", "duration=0.7", "--link", "none"]
     both = [start("slave", *scene, "--listen", f"127.0.0.1:{port}", "--out", "s", "--json"),
-            start("master", *scene, "--peer", f"127.0.0.1:{port}", "--out", "m", "--wait", "30")]
+            start("master", *scene, "--peer", f"127.0.0.1:{port}", "--out", "m", "--wait", f"{PATIENCE}")]
     assert [one.wait(PATIENCE) for one in both] == [0, 0]
     for folder in ("s", "m"):
         told = summary(tmp_path / folder)
@@ -291,5 +291,5 @@ def test_a_demo_whose_output_nothing_reads_runs_to_its_end(
 ) -> None:
     """It reads what its processes say all the while, though nothing reads what it says itself."""
     one = start("scenarios", "demo", "hard_wall", "--set", "duration=0.5", "--out", "out", *form)
-    assert one.wait(90.0) == 0
+    assert one.wait(PATIENCE) == 0
     assert summary(tmp_path / "out")["status"] == "ok"
