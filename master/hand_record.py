@@ -18,6 +18,8 @@ from struct import Struct
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 from zlib import crc32
 
+import numpy as np
+
 from teleop.errors import Refused, number_of
 from teleop.scene.axes import MOST_AXES
 from teleop.scene.scene import MOST_TICKS
@@ -148,8 +150,6 @@ class HandRecording:
 
 def _read(folder: Path) -> _Part:
     """Read all parts in `folder` as one. Raises `Refused`."""
-    import numpy as np
-
     joined: _Part | None = None
     empty: Path | None = None  # a part that ended before its first tick tells of no motion
     for inside in _folders(folder):
@@ -203,8 +203,6 @@ def _folders(folder: Path) -> list[Path]:
 
 def _part(path: Path) -> _Part:
     """The rows of one file. Raises `Refused`."""
-    import numpy as np
-
     try:
         with open_regular(path, links=False) as file:
             line = file.readline(LONGEST)
@@ -236,8 +234,6 @@ def _part(path: Path) -> _Part:
 
 def _dense(part: _Part, path: object) -> tuple[array[float], ...]:
     """A place for each tick from the first to the last, per axis. Raises `Refused`."""
-    import numpy as np
-
     from teleop.simulation.trace import far_apart
 
     k = part.k - part.k[0]

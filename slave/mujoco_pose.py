@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from math import isfinite, pi, sqrt
 from typing import Any
 
+import numpy as np
+
 from teleop.errors import Refused, enumerated
 
 POSES, SEED = 1000, 0  # of the search, drawn evenly
@@ -168,8 +170,6 @@ def _positions(robot: Robot, pose: str) -> list[float]:
 
 def _searched(robot: Robot, data: Any, reference: Any) -> tuple[Any, list[str]]:
     """A pose that is sound, and the note on it; `reference`: the file's own positions. Raises `Refused`."""
-    import numpy as np
-
     model, rng = robot.model, np.random.default_rng(SEED)
     for place, at in robot.starts.items():
         reference[place] = at
@@ -239,8 +239,6 @@ def _manipulabilities(robot: Robot, data: Any, poses: Sequence[Any]) -> list[flo
     """The smallest singular value of the Jacobian at each pose, m/rad; 1.0 where the axes are joints."""
     if robot.tip is None:
         return [1.0] * len(poses)
-    import numpy as np
-
     model, contact = robot.model, int(robot.mujoco.mjtDisableBit.mjDSBL_CONTACT)
     flags, values = model.opt.disableflags, []
     model.opt.disableflags |= contact  # which takes most of the time, and does not bear on it
@@ -255,8 +253,6 @@ def _manipulabilities(robot: Robot, data: Any, poses: Sequence[Any]) -> list[flo
 
 def _jacobians(robot: Robot, data: Any) -> tuple[Any, Any, Any]:
     """Rows of length nv: of the scene's axes, of the translations that are held, of the equality constraints."""
-    import numpy as np
-
     mujoco, model = robot.mujoco, robot.model
     equal = np.zeros((data.ne, model.nv))  # equality constraints are the first rows
     for n in range(data.ne):
@@ -268,8 +264,6 @@ def _jacobians(robot: Robot, data: Any) -> tuple[Any, Any, Any]:
 
 def jacobian(robot: Robot, data: Any, axes: Sequence[int] | None = None) -> Any:
     """The Jacobian of the axes, of the scene unless others are given, rows of length nv."""
-    import numpy as np
-
     axes = list(robot.axes if axes is None else axes)
     if robot.tip is None:
         return np.eye(robot.model.nv)[axes]
@@ -280,8 +274,6 @@ def jacobian(robot: Robot, data: Any, axes: Sequence[int] | None = None) -> Any:
 
 def _mobility(J: Any, inverse: Any, constraints: Any) -> Any:
     """J P J^T, where P is the inverse mass matrix on the motions that the constraints leave."""
-    import numpy as np
-
     if not len(constraints):
         return J @ inverse @ J.T
     held = inverse @ constraints.T
@@ -290,8 +282,6 @@ def _mobility(J: Any, inverse: Any, constraints: Any) -> Any:
 
 def _blocked(robot: Robot, data: Any) -> str:
     """Why a push along some axis of the scene does not move the robot, and what to type; empty where each does."""
-    import numpy as np
-
     J, held, equal = _jacobians(robot, data)
     M = np.zeros((robot.model.nv, robot.model.nv))
     robot.mujoco.mj_fullM(robot.model, data, M)

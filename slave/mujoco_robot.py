@@ -18,6 +18,8 @@ from copy import copy
 from math import hypot, inf, isfinite
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from slave.mujoco_model import Loaded, load
 from slave.mujoco_pose import ON_AXIS, jacobian
 from teleop.errors import DeviceError
@@ -44,7 +46,6 @@ class MuJoCoBody:
 
     def __init__(self, model: Loaded) -> None:
         import mujoco
-        import numpy as np
 
         self.loaded, self._mujoco, self._model = model, mujoco, model.model
         self.data = mujoco.MjData(model.model)
@@ -146,8 +147,6 @@ class MuJoCoBody:
         data = self.data
         if not data.ncon:
             return (0.0,) * len(self.loaded.axes)
-        import numpy as np
-
         contact = data.efc_type >= int(self._mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)
         counted = contact & np.isin(data.efc_id, self._contacts())
         torque = np.zeros(self._model.nv)
@@ -259,8 +258,6 @@ def pressed(model: Loaded, body: MuJoCoBody) -> list[str]:
 
 def friction_notes(model: Loaded, body: MuJoCoBody) -> list[str]:
     """The note on the pushes (N or N m) along each axis that the friction of the joints holds at the start."""
-    import numpy as np
-
     loss = model.model.dof_frictionloss
     J = jacobian(model.robot, body.data)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -20,6 +20,8 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from teleop.bench.timing import compiled, reason
 from teleop.scene.library import ROOT
 
@@ -105,8 +107,6 @@ def _p99(runs: list[FloodRun]) -> tuple[float, float]:
 
 def measured(rates: Flood, between: str, folder: Path, keys: tuple[tuple[str, ...], ...] = ()) -> FloodRun:
     """A run of both ends, as processes of their own, under a flood. `keys`: the master's options and the slave's."""
-    import numpy as np
-
     slave = _end("slave", folder, "--listen", "127.0.0.1:0", *(keys[1] if keys else ()))
     started = [slave]
     try:

@@ -18,6 +18,8 @@ from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+
 from teleop.law import find_law, known_laws, messages
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -34,8 +36,6 @@ MEASURES = ("x_err_rms", "x_err_max")
 
 def kernel_of(engine: str, scenes: Sequence[Scene], seeds: Sequence[int]) -> Callable[[], Any]:
     """A call that runs these rows by the kernel of the first scene's structure; scenes of one link share a schedule."""
-    import numpy as np
-
     schedules: dict[Any, LinkSchedule] = {}
     paths: dict[Any, Any] = {}
     rows = []

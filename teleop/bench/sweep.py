@@ -28,6 +28,8 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from teleop.bench.laws import kernel_of
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
@@ -161,8 +163,6 @@ def _seconds(call: Callable[[], Any]) -> float:
 
 def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
     """The same row by the C program."""
-    import numpy as np
-
     from teleop.simulation.bodies import reference_samples
     from teleop.simulation.plan import link_plans
     from teleop.sweeps.kernels.kernel import LinkSchedule

@@ -21,6 +21,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from teleop import kind
 from teleop.checks.conformance import conditions_of
 from teleop.checks.trials import (
@@ -216,8 +218,6 @@ def _lost_ticks(point: Point, name: str) -> LostTicks | None:
 
 def _longest_held(lost: LostTicks | None, end: int, ticks: int) -> float:
     """The longest time that an end which leaves out these ticks holds a force, s."""
-    import numpy as np
-
     return DT if lost is None else DT * longest(np.flatnonzero(~lost.left_out(end, ticks, 0)), ticks)
 
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from math import inf, sin
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop import kind
 from teleop.errors import Refused
 from teleop.law import At, Law, messages, start_at
@@ -25,7 +27,6 @@ from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 LOW = 1e-9  # J, and 1e-12 of the energy that went through: what rounding may take a ledger below zero
@@ -72,8 +73,6 @@ def admits(condition: str, scene: Scene) -> bool:
 
 def _try_books(law: Any, scene: Scene, trace: Mapping[str, Any]) -> None:
     """Refuse a law that keeps more energy than came in by its ports, or less than none (`teleop.law.offers`)."""
-    import numpy as np
-
     name, E_law = type(law).__name__, trace["E_law"]
     works = works_of(trace)
     rounding = LOW + 1e-12 * np.cumsum(sum(works))
@@ -92,15 +91,11 @@ def _try_books(law: Any, scene: Scene, trace: Mapping[str, Any]) -> None:
 
 def works_of(trace: Mapping[str, Any]) -> list[NDArray[np.float64]]:
     """The size of the work at the port of each end in each tick, J: master, and slave if there is one."""
-    import numpy as np
-
     return [np.abs(np.diff(trace[f"E_port_{e}"], prepend=0.0)) for e in ("m", "s") if f"E_port_{e}" in trace]
 
 
 def greatest_work(works: list[NDArray[np.float64]]) -> Any:
     """Depth below zero that E_law may have by each tick, J: the greatest work of one tick so far, of both ends."""
-    import numpy as np
-
     return sum(np.maximum.accumulate(work) for work in works)
 
 
@@ -314,8 +309,6 @@ class LostTicks:
 
     def left_out(self, end: int, count: int, seed: int) -> NDArray[np.bool_]:
         """See `teleop.scene.parts`. The seed makes no difference: a trial is one fixed case."""
-        import numpy as np
-
         del seed
         out: NDArray[np.bool_] = _hash(np.arange(count), self.key + end / 3.0) < self.share
         return out
@@ -341,8 +334,6 @@ class RandomLink:
 
     def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> RandomArrivals:
         """See `teleop.scene.Link`. The seed and the size make no difference: a trial is one fixed case."""
-        import numpy as np
-
         del seed, size
 
         packets = np.arange(count)
@@ -358,8 +349,6 @@ class RandomLink:
 
 def _hash(packets: NDArray[np.int64], key: float) -> NDArray[np.float64]:
     """Numbers in [0, 1), one a packet, that scatter losses; they are too plain for statistics."""
-    import numpy as np
-
     turned: NDArray[np.float64] = (np.sin((packets + 1.0) * (12.9898 + key)) * 43758.5453) % 1.0
     return turned
 

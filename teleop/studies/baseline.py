@@ -14,6 +14,8 @@ from dataclasses import replace
 from math import sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from teleop.errors import Refused
 from teleop.physics.plant import MassDamper
 from teleop.scene.axes import PER_AXIS, scales
@@ -23,7 +25,6 @@ from teleop.simulation.felt import END
 from teleop.simulation.rest import still
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 LATE = 0.5  # the share of a run, from its end, that counts as late: the hand is in contact then
@@ -117,8 +118,6 @@ def rigid_baseline(scene: Scene) -> Baseline:
 
 def baseline_contact(scene: Scene) -> ContactForce | None:
     """Contact force of the baseline; None where nothing is touched, and where there is no baseline."""
-    import numpy as np
-
     motion = baseline_motion(scene)
     contact = contact_force(np.array([axis.f_env for axis in motion]).T) if motion else None
     return contact if contact is not None and contact.late > 0.0 else None
@@ -126,7 +125,5 @@ def baseline_contact(scene: Scene) -> ContactForce | None:
 
 def contact_force(forces: NDArray[np.float64]) -> ContactForce:
     """Peak and late mean of a run's forces (ticks,) or (ticks, axes) on the environment, N."""
-    import numpy as np
-
     size = np.abs(forces) if forces.ndim == 1 else np.sqrt((forces * forces).sum(axis=1))
     return ContactForce(float(size.max()), float(size[-max(1, round(LATE * len(size))):].mean()))

@@ -17,6 +17,8 @@ from os import PathLike, fspath
 from sys import maxsize
 from typing import Any
 
+import numpy as np
+
 from teleop.errors import Refused, number
 
 MOST_VALUES = 1_000_000  # of one axis, whose values are kept; axes multiply without being kept
@@ -287,7 +289,6 @@ def _draws(name: str, n: int, key: int, latin: bool) -> list[float]:
     """`n` numbers in [0, 1) of a knob's own dice; with `latin` one of them in each of n equal parts."""
     from hashlib import sha256
 
-    import numpy as np
     from numpy.random import Philox
 
     keys = np.array([key, int.from_bytes(sha256(name.encode()).digest()[:8], "little")], np.uint64)

@@ -16,13 +16,14 @@ from pathlib import Path
 from types import NoneType
 from typing import IO, TYPE_CHECKING, Any
 
+import numpy as np
+
 from teleop.errors import Refused, nearest, number_of
 from teleop.storage.files import replacing_text
 from teleop.sweeps.grid import check_count, json_value
 from teleop.terminal.table import columns, printable
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 STATUSES = ("ok", "limit cycle", "unstable", "diverged", "refused")  # the order in which they are counted
@@ -49,8 +50,6 @@ class TableColumn:
 
     def array(self) -> NDArray[Any]:
         """Floats if all are numbers (None is NaN), ints or truths if all are those, objects otherwise."""
-        import numpy as np
-
         if self.values is None:
             return self.cells.copy()
         kinds = {type(value) for value in self.values}
@@ -64,8 +63,6 @@ class TableColumn:
 
     def equals(self, value: Any) -> NDArray[np.bool_]:
         """Mask of the rows that have this value."""
-        import numpy as np
-
         wanted = json_value(value.item() if isinstance(value, np.generic) else value)
         if self.values is None:
             is_number = isinstance(wanted, int | float) and not isinstance(wanted, bool)
@@ -154,8 +151,6 @@ class TableBuilder:
 
     def table(self) -> Table:
         """The rows so far, in the order of their numbers; of those with the same number the first that came."""
-        import numpy as np
-
         columns = {name: grown.column() for name, grown in self._columns.items()}
         numbers = columns["row"].cells
         if not bool(np.all(numbers[1:] > numbers[:-1])):
@@ -194,8 +189,6 @@ class Table:
 
     def array(self) -> NDArray[Any]:
         """Columns but the sentence as one structured array, texts as texts: `np.save` writes it as it is."""
-        import numpy as np
-
         columns = {name: self[name] for name in self._columns if name != "sentence"}
         texts = {name: np.array([str(value) for value in self._columns[name].values or ("",)])
                  for name, column in columns.items() if column.dtype == object}
@@ -207,8 +200,6 @@ class Table:
 
     def where(self, **wanted: Any) -> Table:
         """The rows that have these values, all of them: `table.where(status="ok", law="wave")`."""
-        import numpy as np
-
         keep = np.ones(len(self), bool)
         for name, value in wanted.items():
             keep &= self._column(name).equals(value)
@@ -216,8 +207,6 @@ class Table:
 
     def counts(self) -> dict[str, int]:
         """Number of rows for each status: ok, limit cycle, unstable, diverged, refused, and any other."""
-        import numpy as np
-
         column = self._columns["status"]
         number = np.bincount(column.cells, minlength=len(column.values or ())).tolist()
         count_of = {str(value): count for value, count in zip(column.values or (), number, strict=False) if count}
@@ -324,8 +313,6 @@ class _Growing:
         self.cells = array("I", [self._place(each) for each in earlier])
 
     def column(self) -> TableColumn:
-        import numpy as np
-
         values = None if self.values is None else tuple(self.values)
         return TableColumn(cells=np.array(self.cells, dtype=self.cells.typecode), values=values)
 

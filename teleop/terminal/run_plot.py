@@ -5,6 +5,8 @@ from __future__ import annotations
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.scene.axes import unit_on
 from teleop.simulation.trace import blocks
 from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
@@ -185,8 +187,6 @@ def binned(t: NDArray[Any], values: NDArray[Any]) -> Bins | None:
     It jumps if its path, the sum of the sizes of its steps, is more than `JUMPS` times the sum of its ranges in the
     bins: a column that only rises or falls in each bin has a path as long as its ranges.
     """
-    import numpy as np
-
     ticks = -(-len(values) // BINS)
     if ticks < 3 or not np.isfinite(values).all():
         return None
@@ -207,8 +207,6 @@ def extremes(t: NDArray[Any], values: NDArray[Any], low: float, high: float, col
     They are the least and the greatest value there. With fewer than two ticks a column each tick has both of its points
     at its value. A value that is not finite, or beyond `GREATEST`, is a gap.
     """
-    import numpy as np
-
     def sound(some: NDArray[Any]) -> NDArray[Any]:
         exact = np.asarray(some, dtype=float)
         return np.where(np.abs(exact) <= GREATEST, exact, np.nan)
@@ -232,7 +230,5 @@ def extremes(t: NDArray[Any], values: NDArray[Any], low: float, high: float, col
 
 def power_of_thousand(columns: list[Any]) -> int:
     """The power of a thousand whose SI prefix suits the greatest magnitude in `columns`."""
-    import numpy as np
-
     peak = max((np.abs(column[np.isfinite(column)]).max(initial=0.0) for column in columns), default=0.0)
     return int(np.clip(np.floor(np.log10(peak) / 3.0), min(PREFIX), max(PREFIX))) if peak > 0.0 else 0

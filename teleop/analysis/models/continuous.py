@@ -16,6 +16,8 @@ from math import nan, pi
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.by_axis import alike
 from teleop.analysis.models.linear import (
     StateSpace,
@@ -81,8 +83,6 @@ def refuse_ticks(scene: Scene) -> None:
 
 
 def _margin(scene: Scene) -> Continuous:
-    import numpy as np
-
     master, slave = continuous_ends(scene)
     fastest = float(np.abs(open_poles(master, slave)).max(initial=1.0))
     loop = Loop(master=master, slave=slave, curve=imaginary_axis(SLOWEST, 1e4 * fastest), noise=NOISE)
@@ -131,8 +131,6 @@ def continuous_ends(scene: Scene) -> tuple[StateSpace, StateSpace]:
 def _end(scene: Scene, e: str, *, mass: float, damping: float, k: float, push: float,
          sensor: tuple[float, float, float], bandwidth: float | None) -> StateSpace:
     """`mass x'' + damping x' + k x = push f`, read by a sensor `f = k' x + d' v - m' (mass a)` and held by the law."""
-    import numpy as np
-
     law, states, inputs = law_limit(scene, e)
     n = 2 + (bandwidth is not None) + states
 
@@ -165,8 +163,6 @@ def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
 
     Of its state that which something depends on: what is read after ticks that were left out alone has no part in it.
     """
-    import numpy as np
-
     law: Any = scene.law
     name = {"m": "master", "s": "slave"}[e]
     end, start, sums = getattr(law, name), getattr(law, f"{name}_start"), getattr(law, f"{name}_sums", None)

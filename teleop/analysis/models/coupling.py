@@ -40,13 +40,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.peak import highest
 from teleop.analysis.models.sampled import Impedance, Needed, frequency, on_circle, smooth
 from teleop.errors import number, whole_number
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from teleop.analysis.models.peak import Reals
     from teleop.law.analysis_offers import Coupling
 
@@ -78,8 +78,6 @@ def lack(E: Impedance, T: float) -> Lack:
     z = -1) must have residues of the sign that lossless elements have. What is below 1e-9 of |E| is rounding and counts
     as none.
     """
-    import numpy as np
-
     T = number("T", T, above=0.0)
 
     def curve(th: Reals) -> Reals:
@@ -100,8 +98,6 @@ def least_real(C: Impedance, T: float) -> float:
 
 def damping_curve(C: Impedance, alpha: float, th: Reals, *, d: int = 0) -> Reals:
     """The damping (N s/m) that the worst environment lacking `alpha` asks for at each th (rad per sample)."""
-    import numpy as np
-
     value = smooth(C, th)
     rho = value.real - alpha
     turned = np.exp(-0.5j * (d + 1) * th)
@@ -156,8 +152,6 @@ def rendered(C: Impedance, E: Impedance) -> Impedance:
 
 def gap(C: Impedance, E: Impedance, T: float, frequencies: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     """|E - Z|/|E| = |E/(C + E)| at frequencies (Hz) below half the rate: the share of the environment that is lost."""
-    import numpy as np
-
     z = np.exp(2j * np.pi * T * np.asarray(frequencies, dtype=float))
     lost: np.ndarray[Any, np.dtype[np.float64]] = np.abs(E(z) / (C(z) + E(z)))
     return lost
@@ -165,7 +159,5 @@ def gap(C: Impedance, E: Impedance, T: float, frequencies: Any) -> np.ndarray[An
 
 def stiffness(E: Impedance, T: float) -> float:
     """The spring (N/m) that E is at rest: K_c k_e/(K_c + k_e) of a spring behind a spring."""
-    import numpy as np
-
     z = on_circle(np.array([1e-6]))
     return float((np.asarray(E(z)) * (1.0 - 1.0 / z)).real[0] / T)

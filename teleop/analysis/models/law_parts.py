@@ -8,6 +8,8 @@ from dataclasses import fields, is_dataclass, replace
 from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.by_axis import one_loop
 from teleop.analysis.models.linear import linear_estimator, matrix
 from teleop.analysis.models.loop import transfer
@@ -16,7 +18,6 @@ from teleop.errors import Refused
 from teleop.law import law_name
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.analysis.models.linear import StateSpace
@@ -44,8 +45,6 @@ class Parts(NamedTuple):
 
 def law_parts(scene: Scene) -> Parts:
     """The law of a scene without a slave, apart for K and B. Refused where its force is not linear in them."""
-    import numpy as np
-
     bare = replace(linear_part(scene), electrical=None)
     if bare.device_m is not None:
         bare = replace(bare, device_m=replace(bare.device_m, every=1, delay=0))
@@ -77,8 +76,6 @@ def is_linear(estimator: Any, dt: float) -> bool:
 
 def norms(parts: Parts) -> tuple[float, float]:
     """|h_K|_1 and |h_B|_1 of the impulse responses: the most force per metre of a reading's error, either way."""
-    import numpy as np
-
     def response(system: StateSpace, scale: float) -> list[float]:
         state, response = system.B[:, 0], [float(system.D[0, 0]) / scale]
         for _ in range(LONGEST):
@@ -96,8 +93,6 @@ def norms(parts: Parts) -> tuple[float, float]:
 
 def effective_damping(scene: Scene, th: Reals) -> Reals:
     """b_eff(th) of the device (N s/m): its damping, and what a shunt of its motor adds."""
-    import numpy as np
-
     b = scene.master.damping
     if scene.electrical is None or scene.electrical.b == 0.0:
         return np.full_like(th, b)

@@ -18,6 +18,8 @@ from dataclasses import replace
 from itertools import repeat
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.errors import Refused, enumerated
 from teleop.law import law_name
 from teleop.law.analysis_offers import linear_hint, linear_law
@@ -31,7 +33,6 @@ from teleop.simulation.tick import move_master, move_slave, place_master, place_
 from teleop.stages.end import End, Run
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Matrix = NDArray[np.float64]
@@ -234,8 +235,6 @@ def link_ticks(scene: Scene, seed: int = 0) -> tuple[int, int]:
     """
     if scene.link is None:
         return 1, 1
-    import numpy as np
-
     count = min(scene.ticks, 100_000)
     fixed = scene.played_as.ticks(scene.dt_ns) if isinstance(scene.played_as, Fixed) else 0
     columns = []
@@ -259,8 +258,6 @@ def matrix(function: Callable[[Sequence[float]], Sequence[float]], size: int) ->
     deviation above 1e-9 of the terms that meet there is one too many, or above the rounding of the largest
     coefficient of each number: a small one may be the difference of large ones.
     """
-    import numpy as np
-
     def at(point: Matrix) -> Matrix:
         return np.array(function(point.tolist()), dtype=float)
 

@@ -30,10 +30,11 @@ from functools import cached_property
 from math import acos, floor, pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.linear import LinearScene, StateSpace
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
     Points = NDArray[np.complex128]
 
@@ -58,8 +59,6 @@ def reach(radius: float) -> float:
 
 def circle(radius: float, indent: float) -> Curve:
     """|z| = `radius`; the unit circle and what is as near to it passes z = 1 at the distance `indent`."""
-    import numpy as np
-
     far = reach(radius)
     if not 1.0 <= far < 1.0 + indent:
         return Curve(lambda t: far * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z) > far, True)
@@ -76,15 +75,11 @@ def circle(radius: float, indent: float) -> Curve:
 
 def about_one(indent: float) -> Curve:
     """The small circle that `circle` leaves out, seen from outside."""
-    import numpy as np
-
     return Curve(lambda t: 1.0 + indent * np.exp(1j * pi * t), 1.0, np.log, lambda z: np.abs(z - 1.0) > indent, True)
 
 
 def imaginary_axis(indent: float, top: float) -> Curve:
     """s = i w up to `top` (rad/s), passing s = 0 at `indent` on the right; the right half-plane is its far side."""
-    import numpy as np
-
     def point(t: Any) -> Points:
         around = indent * np.exp(0.5j * pi * np.minimum(t, 1.0))
         along: Points = np.where(t <= 1.0, around, 1j * indent * (top / indent) ** np.maximum(t - 1.0, 0.0))
@@ -124,8 +119,6 @@ class Loop:
     @cached_property
     def samples(self) -> tuple[NDArray[np.float64], Points, Points]:
         """Parameters t (n,), exponents (n,), and log l_j (n, branches) with unwrapped phase."""
-        import numpy as np
-
         t = np.linspace(0.0, self.curve.length, 129)
         z = self.curve.point(t)
         values = in_order(gains(self.master, self.slave, z))
@@ -149,8 +142,6 @@ class Loop:
 
     def outside(self, delay: float, gain: float = 1.0) -> int:
         """Count the roots on the curve's far side with this round trip (ticks, or s) and loop gain."""
-        import numpy as np
-
         _, exponents, logs = self.samples
         turns = 0.0
         for place, sign in ((0, -1.0), (-1, 1.0)):
@@ -166,8 +157,6 @@ class Loop:
 
     def crossings(self, delay: float, gain: float = 1.0) -> list[Crossing]:
         """Every place where a branch of gain * l_j e^(-delay*exponent) passes magnitude 1, along the curve."""
-        import numpy as np
-
         t, exponents, logs = self.samples
         crossings = []
         for j in range(logs.shape[1]):
@@ -180,8 +169,6 @@ class Loop:
 
     def log_at(self, t: float, branch: int) -> tuple[complex, complex]:
         """The exponent and log l_j, phase unwrapped, at any parameter."""
-        import numpy as np
-
         times, _, logs = self.samples
         i = min(max(int(np.searchsorted(times, t)), 1), len(times) - 1)
         part = (t - times[i - 1]) / (times[i] - times[i - 1])
@@ -195,8 +182,6 @@ class Loop:
 
     def _with_peaks(self, t: Any, size: Any, j: int, delay: float, gain: float) -> tuple[Any, Any]:
         """The samples, and beside those that nearly enter or leave the extremum between the neighbours."""
-        import numpy as np
-
         inner, steps = size[1:-1], np.diff(size)
         turning = (steps[:-1] * steps[1:] <= 0.0) & (inner * steps[:-1] <= 0.0) & (np.abs(inner) < 0.05)
         added = [self._extremum(t[i], t[i + 2], j, delay, gain, -1.0 if inner[i] > 0.0 else 1.0)
@@ -254,22 +239,16 @@ def resting_loop(linear: LinearScene) -> Loop:
 
 def indent(linear: LinearScene) -> float:
     """The distance from z = 1 within which a root counts as resting there."""
-    import numpy as np
-
     return 1e-6 if (np.abs(open_poles(linear.master, linear.slave) - 1.0) < 1e-6).any() else 1e-9
 
 
 def open_poles(master: StateSpace, slave: StateSpace) -> Points:
     """The eigenvalues of both ends by themselves."""
-    import numpy as np
-
     return np.concatenate([np.linalg.eigvals(end.A) for end in (master, slave)]) + 0j
 
 
 def gains(master: StateSpace, slave: StateSpace, z: Points) -> Points:
     """The eigenvalues of P_m(z) P_s(z), of the smaller of the two products, (n, branches)."""
-    import numpy as np
-
     first, second = (master, slave) if master.D.shape[0] <= master.D.shape[1] else (slave, master)
     product = transfer(first, z) @ transfer(second, z)
     return product[:, :, 0] if product.shape[1] == 1 else np.asarray(np.linalg.eigvals(product), dtype=np.complex128)
@@ -277,8 +256,6 @@ def gains(master: StateSpace, slave: StateSpace, z: Points) -> Points:
 
 def transfer(end: StateSpace, z: Points) -> Points:
     """`C (zI - A)^-1 B + D` at the points z, (n, fields out, fields in)."""
-    import numpy as np
-
     resolvent = np.linalg.solve(z[:, None, None] * np.eye(len(end.A)) - end.A, end.B + 0j)
     return np.asarray(end.C @ resolvent + end.D, dtype=np.complex128)
 
@@ -287,8 +264,6 @@ def in_order(values: Points) -> Points:
     """The eigenvalues of neighbouring points in the same columns, each row matched to the one before."""
     if values.shape[1] == 1:
         return values
-    import numpy as np
-
     before, after = values[:-1, :, None], values[1:, None, :]
     apart = np.abs(after - before) / (np.abs(before) + np.abs(after) + 1e-300)
     follows = np.empty(values[1:].shape, dtype=np.intp)
@@ -306,8 +281,6 @@ def in_order(values: Points) -> Points:
 
 def _phase(logs: Points, noise: float) -> float:
     """The phase of prod (1 - e^log), continuous along a branch while |e^log| stays on one side of 1."""
-    import numpy as np
-
     inside = logs.real <= noise
     small = np.exp(np.where(inside, logs, -logs))
     turned = np.angle(1.0 - small) + np.where(inside, 0.0, logs.imag - pi)

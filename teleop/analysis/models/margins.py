@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from math import exp, floor, log, pi
 
+import numpy as np
+
 from teleop.analysis.models.linear import LinearScene
 from teleop.analysis.models.loop import Loop, indent, resting_loop, sampled_loop
 
@@ -54,8 +56,6 @@ def _leaves_rest(linear: LinearScene, gain: float) -> bool:
 
 def _phase_crossover(loop: Loop, delay: int) -> float | None:
     """The greatest log |z^-d l_j| below 0 where the phase is a whole number of turns."""
-    import numpy as np
-
     t, exponents, logs = loop.samples
     size, turns = (part - delay * way for part, way in
                    ((logs.real, exponents.real[:, None]), (logs.imag / (2 * pi), exponents.imag[:, None] / (2 * pi))))
@@ -94,8 +94,6 @@ def critical_round_trip(linear: LinearScene, least: int = 2) -> int | None:
     On the unit circle a delay changes phases alone, so the places where |l_j| = 1 are found once and the count of
     roots follows for every delay from them. What it comes to is then counted in full, there and a tick below.
     """
-    import numpy as np
-
     loop = sampled_loop(linear)
     first = loop.outside(least)
     if first:

@@ -14,6 +14,8 @@ from dataclasses import replace
 from math import exp, log
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.linear import (
     LinearScene,
     StateSpace,
@@ -29,7 +31,6 @@ from teleop.law import law_name
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.analysis.models.roots import Mode
@@ -62,8 +63,6 @@ class OnePort(NamedTuple):
 
     def roots(self) -> NDArray[np.complex128]:
         """The loop's eigenvalues, per period."""
-        import numpy as np
-
         return np.asarray(np.linalg.eigvals(self.period), dtype=np.complex128)
 
 
@@ -85,8 +84,6 @@ def controller(scene: Scene) -> StateSpace:
     Law and device stages in contact. Refused if the force is renewed more slowly than the tick, or depends on a
     velocity that no estimator makes of the positions.
     """
-    import numpy as np
-
     loop = one_port(scene)
     if len(loop.ticks) > 1:
         raise Refused(f"the force is renewed every {len(loop.ticks)} ticks, so the controller is not time-invariant; "
@@ -115,8 +112,6 @@ def cut_open(scene: Scene) -> LinearScene | None:
     that form: a force renewed more slowly than the tick, or a law that reads what acts on its device (a force sensor,
     an observer, the force that was held), which is the late one.
     """
-    import numpy as np
-
     from teleop.stages.device import Device
     from teleop.stages.force_cap import Cap
 
@@ -200,16 +195,12 @@ def settles(scene: Scene) -> bool:
 
 def unstable_roots(loop: OnePort) -> int:
     """Eigenvalues outside the unit circle, those at rest at z = 1 aside."""
-    import numpy as np
-
     roots = loop.roots()
     return int(np.count_nonzero((np.abs(roots) > 1.0 + 1e-12) & (np.abs(roots - 1.0) > AT_REST)))
 
 
 def _dominant(loop: OnePort) -> tuple[int, Mode | None]:
     """Roots at rest, and the greatest of the others as a motion."""
-    import numpy as np
-
     from teleop.analysis.models.roots import Mode
 
     roots = loop.roots()
@@ -285,8 +276,6 @@ def near(function: Callable[[Any], Sequence[float]], base: Sequence[float]) -> M
     Read off at steps to both sides in the largest neighbourhood of `SIZES` in which it is affine, which it must be at
     32 points there to 1e-9 of the terms that meet.
     """
-    import numpy as np
-
     n = len(base)
     middle = np.array(base, dtype=float)
 

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Reals = NDArray[np.float64]
@@ -27,8 +28,6 @@ class Peak(NamedTuple):
 
 def grid(turns: float = 0.0) -> Reals:
     """Places on (0, pi]: equal ratios from near 0, and equal steps, 64 to every half turn of a phase turns * th."""
-    import numpy as np
-
     first = FIRST / (2.0 * turns + 1.0)
     even = np.linspace(0.0, pi, PER_TURN * (int(turns) + 16) + 1)[1:]
     return np.union1d(np.geomspace(first, pi, 2048), even)
@@ -43,8 +42,6 @@ def highest(curve: Callable[[Reals], Any], turns: float = 0.0) -> Peak:
     by less than 0.03 % of that. For any other curve the condition is that it has no peak narrower than the places.
     A value that is not finite counts as endless. A maximum that the limit at 0 has as well, to 1e-9, is there.
     """
-    import numpy as np
-
     th = grid(turns)
     values = _values(curve, th)
     best = int(values.argmax())
@@ -70,8 +67,6 @@ def highest(curve: Callable[[Reals], Any], turns: float = 0.0) -> Peak:
 
 
 def _values(curve: Callable[[Reals], Any], th: Reals) -> Reals:
-    import numpy as np
-
     with np.errstate(all="ignore"):
         values = np.asarray(curve(th), dtype=float)
     return np.where(np.isnan(values), np.inf, values)

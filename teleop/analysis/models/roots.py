@@ -18,11 +18,12 @@ from __future__ import annotations
 from math import exp, log, pi
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.linear import LinearScene, StateSpace
 from teleop.analysis.models.loop import FAINT, Loop, gains, indent, reach, sampled_loop
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.analysis.models.loop import Points
@@ -62,8 +63,6 @@ def dense(linear: LinearScene) -> NDArray[np.float64]:
 
     All the delay stands on one way, which changes no eigenvalue but those at 0.
     """
-    import numpy as np
-
     first, second = _in_order(linear)
     n, m, q, d = len(first.A), len(second.A), first.D.shape[1], linear.round_trip
     whole = np.zeros((n + m + q * d, n + m + q * d))
@@ -95,8 +94,6 @@ def dominant(linear: LinearScene, resting: int) -> Mode | None:
     From the eigenvalues of the dense matrix up to `MOST_STATES`. Beyond, the radius is bracketed by the count of
     roots outside it, and the root found by Newton's method from that circle.
     """
-    import numpy as np
-
     if states(linear) <= MOST_STATES:
         roots = np.linalg.eigvals(dense(linear)) + 0j
         moving = roots[np.abs(roots - 1.0) > indent(linear)]
@@ -109,8 +106,6 @@ def dominant(linear: LinearScene, resting: int) -> Mode | None:
 
 def greatest(linear: LinearScene, most: int) -> Roots:
     """The roots of greatest magnitude: all of a dense matrix, of longer loops up to about `most`."""
-    import numpy as np
-
     total = states(linear)
     if total <= MOST_STATES:
         z = np.linalg.eigvals(dense(linear)).astype(np.complex128)
@@ -155,7 +150,6 @@ def _root(linear: LinearScene, low: float, high: float) -> complex | None:
     """The root with log |z| between low and high."""
     from cmath import exp as cexp
 
-    import numpy as np
 
     loop = sampled_loop(linear, exp(low))
     low, high = log(reach(exp(low))), log(reach(exp(high)))  # where the roots were counted
@@ -175,16 +169,12 @@ def _root(linear: LinearScene, low: float, high: float) -> complex | None:
 
 def _own(loop: Loop) -> list[complex]:
     """log z of the ends' own roots."""
-    import numpy as np
-
     rates: list[complex] = np.log(loop.poles[loop.poles != 0.0]).tolist()
     return rates
 
 
 def _distinct(rates: Points, apart: float) -> Points:
     """Each rate once, in the upper half or of a real z, those of greatest growth first."""
-    import numpy as np
-
     angle = np.abs(rates.imag)
     upper = rates.real + 1j * np.where(angle < apart, 0.0, np.where(pi - angle < apart, pi, angle))
     upper = upper[np.argsort(-upper.real, kind="stable")]
@@ -197,8 +187,6 @@ def _distinct(rates: Points, apart: float) -> Points:
 
 def _estimates(loop: Loop, delay: int, most: int) -> Points:
     """log z of about `most` roots to the first order, those where the loop's gain is greatest, in the upper half."""
-    import numpy as np
-
     _, exponents, logs = loop.samples
     psi = logs - delay * exponents[:, None]
     turns = psi.imag / (2.0 * pi)
@@ -226,8 +214,6 @@ def _estimates(loop: Loop, delay: int, most: int) -> Points:
 
 def _nearest_log(loop: Loop, at: Points, guess: Points) -> Points:
     """log l_j at z = e^at, of the branch and on the sheet that is nearest to the `guess`."""
-    import numpy as np
-
     values = gains(loop.master, loop.slave, np.exp(at))
     logs = np.log(np.maximum(np.abs(values), 1e-300)) + 1j * np.angle(values)
     logs = logs + 2j * pi * np.round((guess[:, None] - logs).imag / (2.0 * pi))
@@ -240,7 +226,6 @@ def _newton(linear: LinearScene, rate: complex) -> complex | None:
     """The zero of the loop's determinant that Newton's method comes to from `rate` = log z."""
     from cmath import exp as cexp
 
-    import numpy as np
 
     (first, second), d = _in_order(linear), linear.round_trip
     n, m, q = len(first.A), len(second.A), first.D.shape[1]

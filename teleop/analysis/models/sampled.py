@@ -35,6 +35,8 @@ from collections.abc import Callable
 from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.peak import FIRST, Peak, highest
 from teleop.errors import number, whole_number
 
@@ -71,8 +73,6 @@ def frequency(peak: Peak, T: float) -> float:
 
 def damping_curve(E: Impedance, T: float, th: Reals, *, d: int = 0, every: int = 1) -> Reals:
     """The damping (N s/m) needed at each frequency, th in rad per renewal of the force, in (0, pi]."""
-    import numpy as np
-
     at = (th[:, None] + 2.0 * pi * np.arange(every)) / every  # the n classes
     apart = step(at)
     E_late = smooth(E, at) * np.exp(-1j * d * at)
@@ -89,23 +89,17 @@ def damping_curve(E: Impedance, T: float, th: Reals, *, d: int = 0, every: int =
 
 def step(th: Reals) -> Points:
     """1 - e^(-j th), without the cancellation at small th."""
-    import numpy as np
-
     difference: Points = 2j * np.sin(0.5 * th) * np.exp(-0.5j * th)
     return difference
 
 
 def on_circle(th: Reals) -> Any:
     """e^(j th) with more digits where the machine has them: 1/(1 - z^-1) loses two for each decade that th falls."""
-    import numpy as np
-
     return np.exp(1j * th.astype(np.longdouble))
 
 
 def smooth(E: Impedance, th: Reals) -> Points:
     """E(e^(j th)) by way of the force over position, which a spring keeps finite where E itself loses its digits."""
-    import numpy as np
-
     z = on_circle(th)
     over_position = (np.asarray(E(z)) * (1.0 - 1.0 / z)).astype(np.complex128)
     impedance: Points = over_position / step(th)
@@ -113,8 +107,6 @@ def smooth(E: Impedance, th: Reals) -> Points:
 
 
 def _negative_spring(E: Impedance, T: float) -> bool:
-    import numpy as np
-
     z = on_circle(np.array([1e-6]))
     stiffness = complex(np.asarray(E(z) * (1.0 - 1.0 / z) / T)[0])
     return stiffness.real < -1e-3 * abs(stiffness)
@@ -127,8 +119,6 @@ def spring_damper(K: float, B: float, T: float) -> Impedance:
 
 def of_state_space(controller: StateSpace, T: float) -> Impedance:
     """E(z) of a controller given as matrices from a position (m) to a force (N); its one input and one output."""
-    import numpy as np
-
     from teleop.analysis.models.loop import transfer
 
     def E(z: Any) -> Any:

@@ -9,6 +9,8 @@ from math import ceil, floor, isfinite, log10
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from teleop.analysis.models.by_axis import along
 from teleop.analysis.passivity.report import PassivityAnswer, ask, curves, lacking, summary, table
 from teleop.scene.loading import load_scene
@@ -70,8 +72,6 @@ def _legend(axes: Axes) -> None:
 
 
 def _draw_two_port(figure: Figure, answer: PassivityAnswer, data: dict[str, Any]) -> None:
-    import numpy as np
-
     (top, eta), (passed, felt) = figure.subplots(2, 2, sharex=True)
     for name, shown in STYLES.items():
         if f"{name}_h" not in data:
@@ -103,8 +103,6 @@ def _draw_two_port(figure: Figure, answer: PassivityAnswer, data: dict[str, Any]
 
 
 def _touched(axes: Axes, data: dict[str, Any]) -> None:
-    import numpy as np
-
     for name in STYLES:
         if f"{name}_touched" in data:
             size = np.abs(data[f"{name}_touched"])
@@ -138,8 +136,6 @@ def _draw_one_port(figure: Figure, one: RenderedImpedance, data: dict[str, Any])
 
 def _lost(axes: Axes, one: RenderedImpedance, behind: Behind, data: dict[str, Any]) -> None:
     """Draw the cost of the coupling: the environment's impedance, the coupling's, and both together."""
-    import numpy as np
-
     from teleop.analysis.models.sampled import smooth
 
     f = data["frequency"]
@@ -158,8 +154,6 @@ def _lost(axes: Axes, one: RenderedImpedance, behind: Behind, data: dict[str, An
 
 
 def _needed(axes: Axes, one: RenderedImpedance, data: dict[str, Any]) -> None:
-    import numpy as np
-
     f, need = data["frequency"], data["needed_damping"]
     axes.plot(f, need, color=BLUE, label="damping that the held force asks for")
     axes.axhline(one.damping, color=GREEN, label="the device's damping $b$")
@@ -175,8 +169,6 @@ def _needed(axes: Axes, one: RenderedImpedance, data: dict[str, Any]) -> None:
 
 def _diagram(axes: Axes, one: RenderedImpedance, behind: Behind) -> None:
     """Draw the passivity that an environment may lack, over the coupling made stiffer and more damped alike."""
-    import numpy as np
-
     from teleop.analysis.models.coupling import alpha_max, alpha_miller
 
     delta = one.damping
@@ -213,8 +205,6 @@ def _real(axes: Axes, one: RenderedImpedance, behind: Behind, frequency: Any) ->
 
     Below 0 it is not passive; above it is if nothing of it grows or anticipates, which the circle does not show.
     """
-    import numpy as np
-
     from teleop.analysis.models.sampled import smooth
 
     looks = (("explicit", RED), ("semi-implicit", ORANGE), ("trapezoid", SKY), ("backward", BLUE))

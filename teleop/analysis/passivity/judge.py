@@ -6,13 +6,14 @@ from collections.abc import Callable
 from math import pi
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.by_axis import one_loop
 from teleop.analysis.passivity.two_port import TwoPort, continuous_two_port, sampled_two_port
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.analysis.models.peak import Points, Reals
@@ -106,8 +107,6 @@ def judge(make: Callable[[Reals], TwoPort], *, low: float, high: float, trip: fl
 
     Edges of bands to 1e-6 of them. What fails between two places of the grid is not seen.
     """
-    import numpy as np
-
     turns = min(int(32.0 * trip * (high - low)), MOST_PLACES)
     port = make(np.union1d(np.geomspace(low, high, PLACES), np.linspace(low, high, max(turns, 2))))
     f, eta, good = port.frequency, port.eta, port.absolutely_stable
@@ -133,8 +132,6 @@ def judge(make: Callable[[Reals], TwoPort], *, low: float, high: float, trip: fl
 
 def _edges(make: Callable[[Reals], TwoPort], low: Reals, high: Reals) -> list[float]:
     """Frequencies at which the verdict changes between each two given ones, all zoomed in on at once."""
-    import numpy as np
-
     column = np.arange(len(low))
     for _ in range(ROUNDS if len(low) else 0):
         f = np.linspace(low, high, 17)
@@ -146,12 +143,8 @@ def _edges(make: Callable[[Reals], TwoPort], low: Reals, high: Reals) -> list[fl
 
 
 def _axis(frequency: Reals) -> Points:
-    import numpy as np
-
     return (2j * pi * frequency).astype(np.complex128)
 
 
 def _array(values: list[float]) -> NDArray[np.float64]:
-    import numpy as np
-
     return np.array(values)

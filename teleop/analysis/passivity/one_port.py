@@ -35,6 +35,8 @@ from dataclasses import dataclass, replace
 from math import isfinite, pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models import coupling, sampled
 from teleop.analysis.models.peak import highest
 from teleop.analysis.passivity.surroundings import linear_parts
@@ -88,8 +90,6 @@ def verdict(scene: Scene, E: Impedance, needed: Needed) -> Verdict:
 
 def is_spring(E: Impedance, T: float) -> bool:
     """True if the force is the stiffness times the reading and nothing else."""
-    import numpy as np
-
     z = np.exp(1j * np.array([1e-2, 0.1, 1.0, 2.0, 3.0]))
     H = np.asarray(E(z)) * (1.0 - 1.0 / z) / T
     return bool((np.abs(H - H[0].real) <= 1e-9 * np.abs(H[0])).all())
@@ -121,8 +121,6 @@ def _damped(scene: Scene, E: Impedance, needed: Needed, device: Device) -> tuple
         return enough, None
     if device.every > 1 or b == 0.0:
         return None, None
-    import numpy as np
-
     from teleop.analysis.models.law_parts import effective_damping
 
     T, d = scene.dt_ns / 1e9, device.delay
@@ -265,8 +263,6 @@ def one_port(scene: Scene) -> RenderedImpedance:
 
 
 def _controller(scene: Scene, T: float) -> Impedance:
-    import numpy as np
-
     from teleop.analysis.models.linear import NotLinear, is_linear
     from teleop.analysis.models.one_port_loop import controller
 

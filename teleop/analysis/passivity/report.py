@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_ports
 from teleop.analysis.passivity.one_port import RenderedImpedance, one_port
 from teleop.errors import Refused
@@ -221,8 +223,6 @@ def _numbers(judged: Judged | None, along: Along) -> dict[str, Any] | None:
 
 def curves(answer: PassivityAnswer) -> dict[str, Any]:
     """Arrays over frequency: `frequency` and `needed_damping`, or `sampled_h` and so on, each with its `_frequency`."""
-    import numpy as np
-
     if answer.one is not None:
         f = np.geomspace(answer.low, answer.high, 2000)
         arrays = {"frequency": f, "needed_damping": answer.one.curve(f)}

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from teleop.analysis.models.by_axis import one_loop
 from teleop.analysis.models.linear import link_ticks, with_linear_law
 from teleop.errors import Refused
@@ -64,8 +66,6 @@ def delays(scene: Scene, seed: int = 0) -> tuple[float, float]:
     """Seconds forth and back in continuous time: the link's own, or with a fixed playout the ticks that it makes."""
     if scene.link is None:
         return 0.0, 0.0
-    import numpy as np
-
     forth, back = ticks(scene, seed)
     if isinstance(scene.played_as, Fixed):
         return forth * scene.dt_ns / 1e9, back * scene.dt_ns / 1e9

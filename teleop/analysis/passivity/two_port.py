@@ -32,6 +32,8 @@ from dataclasses import replace
 from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.linear import like, matrix
 from teleop.analysis.passivity.surroundings import delays, linear_parts, ticks
 from teleop.errors import Refused
@@ -40,7 +42,6 @@ from teleop.law.analysis_offers import linear_hint
 from teleop.scene.scene import Scene
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.analysis.models.linear import Matrix
@@ -76,8 +77,6 @@ def assembled(s: Points, ends: Any, delay: Any, r: Readings, driven: Driven, *, 
     velocity over force. hold: what holding makes of a force. velocity: of each end, what the law is told of it over it,
     None for the truth. inertia: f_h over v_m of the master alone. acts: of each end, the delay of its force, a factor.
     """
-    import numpy as np
-
     n, (master, slave) = len(s), ends
     out, home = master.shape[1] - 1, slave.shape[1] - 1  # fields forth, fields back
     size = 2 + out + home  # unknown: f_m, f_s as they act, the messages sent forth, those sent back
@@ -110,8 +109,6 @@ def assembled(s: Points, ends: Any, delay: Any, r: Readings, driven: Driven, *, 
 
 def law_transfer(law: Matrix, states: int, p: Points) -> Points:
     """(force and message) over (readings, rx) at p = z or s, (n, 1 + fields, READINGS + fields in)."""
-    import numpy as np
-
     shown = law[states:, states:] + np.zeros((len(p), 1, 1))
     if not states:
         return shown.astype(np.complex128)
@@ -132,8 +129,6 @@ class TwoPort(NamedTuple):
     @property
     def eta(self) -> Reals:
         """Llewellyn's parameter (n,); inf where nothing is passed on one way."""
-        import numpy as np
-
         h = self.h
         product = h[:, 0, 1] * h[:, 1, 0]
         size = np.abs(product)
@@ -158,8 +153,6 @@ class TwoPort(NamedTuple):
         That is four times the determinant of the Hermitian part of h (G. Raisbeck, "A definition of passive linear
         networks in terms of time and energy", J. Applied Physics 25(12), 1954).
         """
-        import numpy as np
-
         h = self.h
         margin: Reals = 4.0 * h[:, 0, 0].real * h[:, 1, 1].real - np.abs(h[:, 0, 1] + h[:, 1, 0].conj()) ** 2
         return margin
@@ -172,8 +165,6 @@ class TwoPort(NamedTuple):
 
 
 def _rounding(values: Points) -> Reals:
-    import numpy as np
-
     rounding: Reals = 1e-9 * np.abs(values)
     return rounding
 
@@ -183,8 +174,6 @@ def continuous_two_port(scene: Scene, frequency: Reals) -> TwoPort:
 
     Without a link there is no delay. Refused if the law is not linear or has no continuous limit.
     """
-    import numpy as np
-
     from teleop.analysis.models.continuous import law_limit, refuse_ticks
 
     body = _need_slave(scene)
@@ -214,8 +203,6 @@ def sampled_two_port(scene: Scene, frequency: Reals, *, seed: int = 0) -> TwoPor
 
     Refused if the law is not linear, the link not a constant delay or a force renewed more slowly than the tick.
     """
-    import numpy as np
-
     from teleop.physics.plant import linear
     from teleop.stages.observer import coefficients
 

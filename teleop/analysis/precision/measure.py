@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 from math import inf, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from teleop.analysis.models.by_axis import one_loop
 from teleop.analysis.precision.contenders import SOLVERS, TOLERANCES, Contender, outsider_bodies, there
 from teleop.analysis.precision.reference.deviation import (
@@ -264,8 +266,6 @@ def _timed(entry: Entry, times: list[float]) -> Entry:
 
 def _most(size: Any, bins: range) -> Any:
     """Largest value within each stretch of ticks; NaN where there is none."""
-    import numpy as np
-
     whole = np.full(len(bins) * bins.step, np.nan)
     whole[: len(size)] = size
     return np.fmax.reduce(whole.reshape(len(bins), bins.step), axis=1)

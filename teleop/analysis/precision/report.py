@@ -9,6 +9,8 @@ from functools import partial
 from math import isfinite, isnan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.by_axis import along
 from teleop.analysis.precision.contenders import TOLERANCES, there
 from teleop.analysis.precision.measure import EULER, FASTER, SUBSTEPS, measure
@@ -368,8 +370,6 @@ def _some(got: Precision) -> list[Entry]:
 
 def _above(column: Any, least: float) -> Any:
     """The column where it is above `least`, NaN elsewhere."""
-    import numpy as np
-
     return np.where(column > least, column, np.nan)
 
 

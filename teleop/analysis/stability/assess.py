@@ -23,6 +23,8 @@ from functools import cache
 from math import ceil, floor, inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.by_axis import own_parts
 from teleop.analysis.models.rest import FreeMotion, HeldGrip, settled
 from teleop.errors import Refused, number
@@ -362,7 +364,5 @@ def kicked_axes(scene: Scene) -> tuple[int, ...]:
 
 def _hardest(result: Result) -> int:
     """The tick at which the slave pressed hardest (without one: the master was pushed hardest), or the middle one."""
-    import numpy as np
-
     touch = np.abs(result.trace.get("f_env", result.trace["f_m"])).reshape(result.ticks, -1).max(axis=1)
     return int(touch.argmax()) if touch.max() > 0.0 else result.ticks // 2

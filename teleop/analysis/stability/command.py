@@ -8,6 +8,8 @@ from functools import partial
 from math import ceil, log10, pi
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from teleop.analysis.stability.assess import Stability
 from teleop.analysis.stability.report import StabilityAnswer, ask, own_value, summary, table
 from teleop.errors import Refused
@@ -77,8 +79,6 @@ def _legend(axes: Axes, **where: Any) -> None:
 
 def _motions(drawn: Picture) -> tuple[Any, Any]:
     """Growth (1/s) and frequency (Hz) of the roots in the upper half, the greatest first."""
-    import numpy as np
-
     z = drawn.roots.z
     z = z[(np.abs(z) > 1e-6) & (z.imag >= -1e-12)]
     rate = np.log(z) / drawn.period
@@ -87,8 +87,6 @@ def _motions(drawn: Picture) -> tuple[Any, Any]:
 
 def _marks(axes: Axes, x: Any, y: Any, z: Any, dominant: complex | None) -> None:
     """Roots at (x, y), those that grow, that rest and the dominant one marked."""
-    import numpy as np
-
     rests = np.abs(z - 1.0) <= AT_REST
     grows = (np.abs(z) > 1.0) & ~rests
     axes.plot(x[~grows & ~rests], y[~grows & ~rests], "x", color=BLUE, markersize=6, label="decays")
@@ -108,8 +106,6 @@ def _dominant(answer: StabilityAnswer) -> complex | None:
 
 
 def _s_plane(axes: Axes, answer: StabilityAnswer, drawn: Picture) -> None:
-    import numpy as np
-
     growth, frequency = _motions(drawn)
     z = np.exp((growth + 2j * pi * frequency) * drawn.period)
     _marks(axes, growth, frequency, z, _dominant(answer))
@@ -142,8 +138,6 @@ def _s_plane(axes: Axes, answer: StabilityAnswer, drawn: Picture) -> None:
 
 
 def _z_plane(axes: Axes, drawn: Picture) -> None:
-    import numpy as np
-
     around = np.exp(1j * np.linspace(0.0, 2.0 * pi, 721))
     axes.plot(around.real, around.imag, color=DARK, linewidth=0.8)
     z = drawn.roots.z
@@ -167,8 +161,6 @@ def _describe_gain(answer: StabilityAnswer) -> str:
 
 
 def _bode(magnitude: Axes, phase: Axes, answer: StabilityAnswer, loop: OpenLoop) -> None:
-    import numpy as np
-
     f, size = loop.frequency, np.abs(loop.L)
     loud = size.max(axis=0) > 0.0
     for j in np.flatnonzero(loud):
@@ -216,8 +208,6 @@ def _bode(magnitude: Axes, phase: Axes, answer: StabilityAnswer, loop: OpenLoop)
 
 def _nyquist(axes: Axes, answer: StabilityAnswer, loop: OpenLoop) -> None:
     """The loci of L about -1; with more turns than can be told apart, those of a loop without its delay."""
-    import numpy as np
-
     size = np.abs(loop.L)
     heard = np.flatnonzero(size.max(axis=1) > FAINT)
     last = int(heard[-1]) + 1 if heard.size else 1
@@ -253,8 +243,6 @@ def _nyquist(axes: Axes, answer: StabilityAnswer, loop: OpenLoop) -> None:
 
 def draw_swept(answer: StabilityAnswer, swept: MarginCurves, path: Path, formats: Sequence[str]) -> list[Path]:
     """Draw growth rate and margins over the knob as `path` in each of `formats`; returns the files."""
-    import numpy as np
-
     edge = answer.edge
     assert edge is not None
     figure = new_figure((9.5, 8.5), f"{literal(titled(answer.scene))}: stability over {literal(edge.knob)}")

@@ -11,12 +11,13 @@ from collections.abc import Callable, Sequence
 from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.loop import gains, in_order, indent, sampled_loop
 from teleop.analysis.models.roots import MOST_STATES, Roots, dominant, greatest, states
 from teleop.terminal.answer import WithUnit
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.analysis.models.linear import LinearScene
@@ -63,8 +64,6 @@ def picture(scene: Scene, *, unstable: bool, gain_margin: float | None, seed: in
     """The numbers behind the plot of a scene of that verdict and gain margin. Refused if it is not linear."""
     linear = linear_loop(scene, seed)
     if scene.slave is None and (linear is None or states(linear) <= MOST_STATES):
-        import numpy as np
-
         from teleop.analysis.models.one_port_loop import one_port
 
         whole = one_port(scene)
@@ -89,8 +88,6 @@ def linear_loop(scene: Scene, seed: int) -> LinearScene | None:
 
 def open_loop(linear: LinearScene, *, unstable: bool, gain_margin: float | None) -> OpenLoop:
     """The open loop from `SLOWEST` to half the rate, as finely as its delay turns it."""
-    import numpy as np
-
     d, top = linear.round_trip, 0.5 / linear.dt
     even = np.linspace(0.0, top, min(32 * d + 2, MOST_PLACES))[1:]
     f = np.union1d(np.geomspace(min(SLOWEST, 1e-3 * top), top, PLACES), even)
@@ -112,8 +109,6 @@ def _phase_margin(linear: LinearScene) -> tuple[float | None, float | None]:
 
 def _phase_crossover(f: Reals, L: Points, gain_margin: float | None) -> float | None:
     """The frequency (Hz) at which the gain margin brings an L_j to -1; 0 for what rests."""
-    import numpy as np
-
     if gain_margin is None or gain_margin == 1.0:
         return None if gain_margin is None else 0.0
     passed = (L.imag[1:] * L.imag[:-1] <= 0.0) & (L.real[1:] < 0.0) & (L.real[:-1] < 0.0)
@@ -127,8 +122,6 @@ def _phase_crossover(f: Reals, L: Points, gain_margin: float | None) -> float | 
 def sweep(make: Callable[[float], Scene], values: Sequence[float], *, seed: int = 0,
           tell: Callable[[int], None] | None = None) -> MarginCurves:
     """The dominant growth rate and both margins at values of a knob. `tell` is called with how many are done."""
-    import numpy as np
-
     rows = []
     for i, value in enumerate(values):
         rows.append(_margins(make(value), seed))

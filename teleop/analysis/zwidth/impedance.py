@@ -20,12 +20,13 @@ from __future__ import annotations
 from math import log10, pi
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.law_parts import law_parts
 from teleop.analysis.zwidth.passive import Point, Region
 from teleop.law.analysis_offers import coupling_of
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.scene.scene import Scene
@@ -52,8 +53,6 @@ class Curves(NamedTuple):
 
 def curves(scene: Scene, region: Region) -> Curves:
     """Both curves of a scene and its passive region."""
-    import numpy as np
-
     last = min(BAND[1], 0.5e9 / scene.dt_ns)
     frequency = np.geomspace(BAND[0], last, PLACES)
     lower = device(scene, frequency)
@@ -72,8 +71,6 @@ def curves(scene: Scene, region: Region) -> Curves:
 
 def device(scene: Scene, frequency: Reals) -> Reals:
     """|Z| (N s/m) of the device with nothing rendered; behind a coupling what it simulates is there, in free space."""
-    import numpy as np
-
     s = 2j * pi * frequency
     impedance = scene.master.mass * s + scene.master.damping
     if scene.electrical is not None:
@@ -87,8 +84,6 @@ def device(scene: Scene, frequency: Reals) -> Reals:
 
 def most(scene: Scene, corners: tuple[Point, ...], frequency: Reals) -> Reals:
     """The greatest |K/(j w) + B F| (N s/m) over the corners at each frequency; 0 without any."""
-    import numpy as np
-
     if not corners:
         return np.zeros_like(frequency)
     w = 2.0 * pi * frequency
@@ -100,8 +95,6 @@ def most(scene: Scene, corners: tuple[Point, ...], frequency: Reals) -> Reals:
 
 def velocity_filter(scene: Scene, frequency: Reals) -> Points:
     """F: the velocity that the law is given over the backward difference."""
-    import numpy as np
-
     T = scene.dt_ns / 1e9
     if coupling_of(scene.law, T) is not None:  # of which no other estimator has a passive region
         return np.ones(len(frequency), dtype=np.complex128)

@@ -42,6 +42,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models import coupling, sampled
 from teleop.analysis.models.law_parts import effective_damping, law_parts, norms, scales, with_gains
 from teleop.analysis.models.peak import grid, highest
@@ -49,7 +51,6 @@ from teleop.errors import Refused
 from teleop.law.analysis_offers import coupling_of
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.law.analysis_offers import Coupling
@@ -170,8 +171,6 @@ def _region(scene: Scene) -> Region:
 
 def _gauge(scene: Scene) -> Gauge:
     """Build the gauge: the share of the device's damping that a point takes, at the th where it is greatest."""
-    import numpy as np
-
     T = scene.dt_ns / 1e9
     d, every = (0, 1) if scene.device_m is None else (scene.device_m.delay, scene.device_m.every)
     if every > 1 and scene.electrical is not None:
@@ -206,8 +205,6 @@ def _gauge(scene: Scene) -> Gauge:
 
 def _needed(scene: Scene, T: float, d: int, every: int, places: Reals) -> Curve:
     """The damping needed for (K, B) over th."""
-    import numpy as np
-
     if (offered := coupling_of(scene.law, T)) is not None:
         return _coupled(scene, offered, d, every)
     parts = law_parts(scene)
@@ -250,8 +247,6 @@ def _needed(scene: Scene, T: float, d: int, every: int, places: Reals) -> Curve:
 
 def _coupled(scene: Scene, offered: Coupling, d: int, every: int) -> Curve:
     """The same for the coupling that the law offers, in front of the worst passive environment."""
-    import numpy as np
-
     from teleop.stages.velocity.backward_difference import BackwardDifference
 
     velocity = scene.device_m and scene.device_m.velocity

@@ -35,12 +35,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.law_parts import linear_part, scales, with_gains
 from teleop.analysis.models.one_port_loop import AT_REST, one_port
 from teleop.analysis.models.peak import grid
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.scene.scene import Scene
@@ -125,8 +126,6 @@ def _loop(scene: Scene) -> LoopFamily:
 
 def is_stable(of: LoopFamily, K: Any, B: Any) -> NDArray[np.bool_]:
     """True where the loop is stable at (K, B): no root outside the unit circle, those at rest at z = 1 aside."""
-    import numpy as np
-
     K, B = np.broadcast_arrays(np.asarray(K, dtype=float), np.asarray(B, dtype=float))
     if K.size * of.states**2 > AT_ONCE and K.size > 1:
         half = K.size // 2
@@ -160,8 +159,6 @@ def top(scene: Scene) -> tuple[float, float]:
 
 def boundary(of: LoopFamily, B: Sequence[float], span: Span = ALL) -> Boundary:
     """The stable region's edge at each of these B, within `span` of K."""
-    import numpy as np
-
     if of.opened is not None:
         return _crossed(of, of.opened, B, span)
     _, net, halved = COARSE if of.coarse else (ROWS, NET, HALVED)
@@ -192,8 +189,6 @@ def _crossed(of: LoopFamily, cut: Open, B: Sequence[float], span: Span) -> Bound
 
 def most_damping(of: LoopFamily, span: Span = ALL) -> float:
     """The least B at which the loop is unstable with next to no K; 0 if every one is."""
-    import numpy as np
-
     if of.opened is not None:
         return first_B(of.opened, max(span.low, 1e-7 * top(of.scene)[0]))
     _, net, halved = COARSE if of.coarse else (ROWS, NET, HALVED)
@@ -212,8 +207,6 @@ def most_damping(of: LoopFamily, span: Span = ALL) -> float:
 
 def rows(of: LoopFamily, span: Span, stiffness: Span) -> list[float]:
     """The values of B at which the boundary is looked for."""
-    import numpy as np
-
     count, _, _ = COARSE if of.coarse else (ROWS, NET, HALVED)
     high = span.high or most_damping(of, stiffness)
     return [float(B) for B in np.linspace(span.low, max(high, span.low), count)]
@@ -254,8 +247,6 @@ class Open(NamedTuple):
 
     def gains(self, th: Reals) -> tuple[Points, Points]:
         """l_K and l_B at e^(j th)."""
-        import numpy as np
-
         z = np.exp(1j * th)
         whole = z[:, None, None] * np.eye(len(self.still)) - self.still
         response: Points = np.linalg.solve(whole, self.u.astype(complex)[:, None])[:, :, 0]
@@ -264,8 +255,6 @@ class Open(NamedTuple):
 
 def cut_open(maps: Maps, d: int) -> Open | None:
     """The open loop of maps without delay; None where K and B do not act through one force."""
-    import numpy as np
-
     still, M_K, M_B = maps
     U, S, V = np.linalg.svd(np.hstack([M_K, M_B]))
     if S[1] > 1e-9 * S[0]:
@@ -287,8 +276,6 @@ def first_B(of: Open, K: float) -> float:
 
 
 def _first(of: Open, solved: Callable[[Points, Points, Points], Points]) -> float:
-    import numpy as np
-
     def gain(th: Reals) -> Points:
         return solved(np.exp(1j * of.d * th), *of.gains(th))
 

@@ -11,6 +11,8 @@ from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.models.by_axis import along
 from teleop.analysis.zwidth.assess import assess, span
 from teleop.analysis.zwidth.plane import passive_line, published_rule
@@ -210,7 +212,6 @@ def _new(got: ZWidth, title: str, size: tuple[float, float]) -> Figure:
 
 def _plane(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
     """The whole stable region; beside it its corner with the passive one, which the whole is too large to show."""
-    import numpy as np
     from matplotlib.patches import Rectangle
 
     figure = _new(got, "stable and passive stiffness and damping", (12.0, 6.2))
@@ -246,8 +247,6 @@ def _plane(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
 
 
 def _regions(axes: Axes, got: ZWidth, far_B: float, far_K: float) -> None:
-    import numpy as np
-
     B = np.linspace(0.0, far_B, 400)
     edge = got.stable or got.stable_free
     if edge is not None:
@@ -281,8 +280,6 @@ def _edge(axes: Axes, edge: Boundary | None, label: str, shown: dict[str, Any]) 
 
 def _impedance(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
     """Both curves, and what lies between them."""
-    import numpy as np
-
     c = got.base.curves
     wide = "no upper curve is claimed" if c.area is None else (
         f"Z-width {format_value(c.width)} N s/m at 1 Hz, area {c.area:.3g} decades x decades")

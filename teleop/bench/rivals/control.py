@@ -12,6 +12,8 @@ from collections.abc import Callable
 from math import sqrt
 from typing import Any
 
+import numpy as np
+
 from teleop.bench.rivals.rival import Rival, delay_ticks, exact_positions, library, parts
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -27,15 +29,11 @@ def rival() -> Rival:
 
 def position_error(ct: Any, scene: Scene) -> float:
     """The greatest error of either handle (m) against the exact bodies."""
-    import numpy as np
-
     return float(np.abs(response(ct, scene)() - exact_positions(scene)).max())
 
 
 def response(ct: Any, scene: Scene) -> Callable[[], Any]:
     """A run of the scene: it returns the positions x_m, x_s at the ticks."""
-    import numpy as np
-
     from teleop.physics.contact import move_wall
     from teleop.physics.plant import move_gripped
     from teleop.simulation.bodies import exact_bodies, reference_samples

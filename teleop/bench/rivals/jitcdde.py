@@ -29,6 +29,8 @@ from math import pi, sqrt
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from teleop.bench.rivals.rival import Absent, Rival, exact_positions, library, parts
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -40,8 +42,6 @@ def rival() -> Rival:
     """Raises `Absent`."""
     jit = library("jitcdde", "jitcdde")
     scene = load_scene("canonical")
-    import numpy as np
-
     loose, reference = positions(jit, scene, TOLERANCE), positions(jit, scene, TIGHT)
     apart = float(np.abs(reference - exact_positions(scene)).max())
     return Rival("jitcdde, compiled, continuous time", 100, scene.ticks, lambda: _run(jit, scene, TOLERANCE),
@@ -51,8 +51,6 @@ def rival() -> Rival:
 
 def positions(jit: Any, scene: Scene, tolerance: float) -> Any:
     """x_m and x_s (m) at the ticks."""
-    import numpy as np
-
     solver = integrator(jit, scene, tolerance)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns of reading out more often than it steps

@@ -18,6 +18,8 @@ from collections.abc import Callable
 from math import sqrt
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from teleop.bench.rivals.rival import Rival, delay_ticks, exact_positions, parts, stiffnesses
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -30,8 +32,6 @@ def located(scene: Scene, k_e: Any) -> Move:
 
     A row that changes to and fro within one tick is missed; the canonical scene has none.
     """
-    import numpy as np
-
     from teleop.physics.plant import linear
 
     _, _, surface, body = parts(scene)
@@ -66,8 +66,6 @@ def located(scene: Scene, k_e: Any) -> Move:
 
 
 def _product(a: Any, b: Any, c: Any, p: Any, v: Any, f: Any, out: Any, t: Any) -> None:
-    import numpy as np
-
     np.multiply(a, p, out=out)
     np.multiply(b, v, out=t)
     np.add(out, t, out=out)
@@ -81,8 +79,6 @@ def change(body: tuple[float, float, float], k: Any, left: Any, p: Any, v: Any, 
 
     The instant is where p, coming in, or else g passes zero: by Newton's method from the chord.
     """
-    import numpy as np
-
     mass, b, d = body
     entering = ~touching & (p < 0.0)
     alpha, beta = np.where(entering, 1.0, k), np.where(entering, 0.0, d)
@@ -113,8 +109,6 @@ def flow(m: float, c: Any, k: Any, p: Any, v: Any, f: Any, t: Any) -> tuple[Any,
 
 def stepped(scene: Scene, k_e: Any, count: int) -> Move:
     """Moves rows by `count` steps of the midpoint rule a tick; contact falls where a step does."""
-    import numpy as np
-
     _, _, surface, body = parts(scene)
     h, m, b, d = scene.dt / count, body.mass, body.damping, surface.d
     s, t, half_p, half_v = np.zeros((4, len(k_e)))
@@ -173,8 +167,6 @@ def _rival(what: str, wall: Callable[..., Any], rows: int, seconds: float, check
 
 def position_error(scene: Scene, wall: Callable[..., Any] = located) -> float:
     """The greatest error of either handle (m) in a run of one row, against the exact bodies."""
-    import numpy as np
-
     positions = np.zeros((2, scene.ticks))
 
     def watch(k: int, x_m: Any, x_s: Any, *_: Any) -> None:
@@ -199,8 +191,6 @@ class MasterStep(NamedTuple):
 
 def master(scene: Scene) -> MasterStep:
     """The master's step over a tick."""
-    import numpy as np
-
     from teleop.physics.plant import grip
     from teleop.simulation.bodies import reference_samples
 
@@ -219,8 +209,6 @@ def batch(scene: Scene, k_e: Any, wall: Callable[..., Any] = located, watch: Wat
 
     The link is a constant delay of whole ticks. `watch` is told k, x_m, x_s and the waves u, w sent at every tick.
     """
-    import numpy as np
-
     n, lag = len(k_e), delay_ticks(scene)
     slave = np.zeros((3, n))
     slave[:2] -= parts(scene)[2].at  # its two positions are told from the wall's surface
@@ -232,8 +220,6 @@ def batch(scene: Scene, k_e: Any, wall: Callable[..., Any] = located, watch: Wat
 
 def _run(scene: Scene, c: MasterStep, move: Any, watch: Watch | None, x_m: Any, v_m: Any, new: Any, f_s: Any, s: Any,
          t: Any, sq: Any, top: Any, p: Any, x_d: Any, v_s: Any, forth: Any, back: Any, old: Any) -> tuple[Any, Any]:
-    import numpy as np
-
     law, _, surface, _ = parts(scene)
     dt, at, lag, root = scene.dt, surface.at, len(forth), sqrt(2.0 * law.b)
     per = 1.0 / (law.b + law.B + law.K * dt)

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -41,8 +43,6 @@ def ours() -> tuple[str, int, Callable[[], Any]]:
 
 def stiffnesses(count: int) -> Any:
     """The axis of the sweep: stiffnesses of the wall in N/m, the canonical one among them, first."""
-    import numpy as np
-
     return np.concatenate([[5000.0], np.linspace(2500.0, 10000.0, count - 1)])
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
@@ -19,8 +21,6 @@ WHAT = (("peak", "mm"), ("peak-to-peak in the last 0.5 s", "mm"), ("observed ene
 
 def rerun() -> list[Replication]:
     """The five runs with the integrator of the source: 40 sub-steps of semi-implicit Euler a tick."""
-    import numpy as np
-
     numbers = []
     for name, (knobs, printed) in RUNS.items():
         scene = load_scene("encoder_wall", **knobs)

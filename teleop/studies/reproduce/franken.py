@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from teleop.scene.loading import load_scene
 from teleop.simulation.notes import fitted
 from teleop.simulation.virtual import run
@@ -13,8 +15,6 @@ AT_REST = 1e-4  # m, peak-to-peak in the last five seconds
 
 def press(law: str) -> tuple[float, float]:
     """Swing of the master (m, peak-to-peak) in the last 5 s of 40 s after a reach into the wall; the force there."""
-    import numpy as np
-
     scene = load_scene("hard_wall", law=law, k_e=STIFFNESS, link=f"delay({DELAY})", duration=40.0, f_max="none",
                        slew="none")
     trace = run(fitted(scene)).trace

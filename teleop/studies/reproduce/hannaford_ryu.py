@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from teleop.simulation.virtual import run
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall, with_hand
 
@@ -25,8 +27,6 @@ class Contact(NamedTuple):
 
 def contact(K: float, every: int, cap: float | None) -> Contact:
     """A hand that pushes with a constant force through its own damping reaches the wall at `SPEED`, its final speed."""
-    import numpy as np
-
     push = SPEED * (HAND + DAMPING)
     scene = wall(K, m=MASS, b=DAMPING, every=every, cap=cap, energy=False, **{"law.at": 0.0})
     start = -5.0 * MASS / (HAND + DAMPING) * SPEED  # five time constants of the approach

@@ -6,6 +6,8 @@ from dataclasses import replace
 from math import pi
 from typing import Any
 
+import numpy as np
+
 from teleop.law import At, find_law
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
@@ -19,8 +21,6 @@ SLOW = 0.05  # Hz, far below the resonance
 
 def reflected_impedance(frequency: list[float], touched: float) -> Any:
     """Impedance (N s/m) at the master of a slave that touches this one (N s/m), without the master itself."""
-    import numpy as np
-
     from teleop.analysis.passivity.two_port import continuous_two_port
 
     scene = load_scene("free_motion", law=find_law("wave")(b=b, K=STIFF, B=0.0), link=f"delay({T})", observer=None)
@@ -33,8 +33,6 @@ def reflected_impedance(frequency: list[float], touched: float) -> Any:
 
 def rerun() -> list[Replication]:
     """A free and a clamped end at low frequency, the resonance, and one pair of waves."""
-    import numpy as np
-
     w = 2.0 * pi * SLOW
     slow, one, four = reflected_impedance([SLOW, 1.0, 4.0], 0.0)
     clamped = reflected_impedance([SLOW], 1e15)[0]

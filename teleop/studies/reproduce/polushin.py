@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from teleop.law import At, find_law
 from teleop.scene.loading import load_scene
 from teleop.simulation.virtual import run
@@ -28,8 +30,6 @@ def let_go(law: str) -> tuple[float, float]:
 
     Both ends begin at the mean surface of a beating wall, 30 mm from the origin: it pushes the slave from there.
     """
-    import numpy as np
-
     scene = load_scene("beating_heart", law=law, observer=None, duration=2.0)
     trace = run(replace(scene, hand=None, start_m=SURFACE, start_s=SURFACE)).trace
     return float(np.ptp(trace["x_m"])), float(np.abs(trace["f_env"]).max())

@@ -22,6 +22,8 @@ from math import inf, nan
 from types import FunctionType
 from typing import Any
 
+import numpy as np
+
 from teleop.physics.contact import move_wall
 from teleop.scene.scene import Scene
 from teleop.simulation import masks
@@ -161,8 +163,6 @@ Tile = list[tuple[RowInputs, tuple[int, int]]]  # rows with their lags, one for 
 
 def call_kernel(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int) -> list[list[KernelOutput]]:
     """Run the rows of these tiles by a kernel; `figures`: their number for each row."""
-    import numpy as np
-
     rows = [row for tile in tiles for row, _ in tile]
     if rows[0].flat is not None and rows[0].flat.arrays and len(tiles) > 1:  # arrays of its own for each tile
         return [outputs for tile in tiles for outputs in call_kernel(kernel, [tile], figures)]
@@ -186,8 +186,6 @@ def call_kernel(kernel: Callable[..., Any], tiles: Sequence[Tile], figures: int)
 
 def _for_each(parts: Sequence[Any], numbers: Callable[[Any], Sequence[int]]) -> Any:
     """Whole numbers of each part as rows of an array; worked out once for a part that is there several times."""
-    import numpy as np
-
     distinct = {id(part): part for part in parts}
     if len(distinct) == 1:
         return np.tile(np.array(numbers(parts[0]), dtype=np.int64), (len(parts), 1))
@@ -197,8 +195,6 @@ def _for_each(parts: Sequence[Any], numbers: Callable[[Any], Sequence[int]]) -> 
 
 def by_lane(numbers: Any) -> Any:
     """Numbers (tile, row, number) as a flat array in the order tile, number, lane."""
-    import numpy as np
-
     return np.ascontiguousarray(numbers.transpose(0, 2, 1)).ravel()
 
 

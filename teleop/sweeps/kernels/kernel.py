@@ -16,6 +16,8 @@ from math import isfinite
 from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.law.contract import attempt
@@ -169,8 +171,6 @@ class LinkSchedule(NamedTuple):
     @classmethod
     def of(cls, plans: tuple[Plan | None, Plan | None]) -> LinkSchedule:
         """Schedule of two plans."""
-        import numpy as np
-
         plays = tuple([np.zeros(0, np.int64) if plan is None else plan.played_at for plan in plans])
         lags = tuple([median_age(play) if has_packets(plan) else 1 for plan, play in zip(plans, plays, strict=True)])
         orders = tuple([play if plan is None else plan.orders for plan, play in zip(plans, plays, strict=True)])
@@ -280,8 +280,6 @@ def _take(tree: Any, shape: list[Any], reals: array[float], wholes: list[int], a
         shape.append(1)
         reals.append(float(tree))
     elif isinstance(tree, list):
-        import numpy as np
-
         shape.append("a")
         arrays.append(np.asarray(tree))
     else:
@@ -353,8 +351,6 @@ def path_of(scene: Scene, *, compiled: bool) -> Any:
         return () if compiled else None
 
     def make() -> Any:
-        import numpy as np
-
         path = reference_samples(scene) or ()
         if len(path) != scene.axes or any(len(axis) <= scene.ticks for axis in path):
             raise Refused(f"the hand's path has not the {scene.ticks + 1} samples for each of {scene.axes} axes that "

@@ -8,6 +8,8 @@ from itertools import product
 from math import prod
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from teleop.errors import Refused
 from teleop.simulation.metrics import UNITS
 from teleop.terminal.plotting import BLACK, BLUE, BROWN, GREEN, ORANGE, PALE, PINK, PURPLE, RED, SKY, YELLOW, literal
@@ -53,8 +55,6 @@ class Panel:
 
 def varying(table: Table, units: Mapping[str, str]) -> tuple[list[PlottedKnob], list[str]]:
     """The knobs with several values; of those that go in step, as zipped ones do, the first, and what follows it."""
-    import numpy as np
-
     candidates: list[PlottedKnob] = []
     for name in table.knobs:
         column = table[name]
@@ -82,8 +82,6 @@ def varying(table: Table, units: Mapping[str, str]) -> tuple[list[PlottedKnob], 
 
 def pairs_of(a: PlottedKnob, b: PlottedKnob) -> NDArray[Any] | None:
     """The places of both for each value of `a`, if each value of one comes with a single one of the other."""
-    import numpy as np
-
     if len(a.values) != len(b.values):
         return None
     pairs = np.unique(a.place * len(b.values) + b.place)
@@ -92,8 +90,6 @@ def pairs_of(a: PlottedKnob, b: PlottedKnob) -> NDArray[Any] | None:
 
 def _in_step(a: PlottedKnob, b: PlottedKnob) -> bool:
     """True if one follows from the other. Numbers must also rise or fall together: those of a sample do not."""
-    import numpy as np
-
     pairs = pairs_of(a, b)
     if pairs is None:
         return False
@@ -115,8 +111,6 @@ def axes_knobs_of(knobs: list[PlottedKnob], kind: str) -> list[PlottedKnob]:
 
 def panels_of(table: Table, knobs: list[PlottedKnob]) -> tuple[list[Panel], str]:
     """A panel for each combination of values that has rows, up to `PANELS`, and what was left out."""
-    import numpy as np
-
     code, keep = np.zeros(len(table), np.int64), np.ones(len(table), bool)
     counts = thinned([len(knob.values) for knob in knobs], PANELS, [knob.numeric for knob in knobs])
     left = []
@@ -185,8 +179,6 @@ def scale(axes: Axes, which: str, values: tuple[Any, ...]) -> None:
 
 def spaced(values: tuple[Any, ...]) -> tuple[str, float]:
     """The scale on which values that rise are spaced evenly: linear, log or symlog, and up to where that is linear."""
-    import numpy as np
-
     above = np.array([value for value in values if value > 0.0])
     if min(values) < 0.0 or len(above) < 2:
         return "linear", 0.0
@@ -203,8 +195,6 @@ def spacing(values: NDArray[Any]) -> tuple[str, float]:
 
     One run that grows until it is stopped would leave all others in a flat line at the bottom.
     """
-    import numpy as np
-
     sizes = np.abs(values[values != 0.0])
     if not len(sizes):
         return "linear", 0.0
@@ -216,8 +206,6 @@ def spacing(values: NDArray[Any]) -> tuple[str, float]:
 
 def groups_of(values: NDArray[Any], where: NDArray[Any], ok: NDArray[Any], count: int) -> list[NDArray[Any]]:
     """The values at each of `count` places, of the rows that ended ok and have one."""
-    import numpy as np
-
     keep = ok & np.isfinite(values)
     order = np.argsort(where[keep], kind="stable")
     ends = np.cumsum(np.bincount(where[keep], minlength=count))

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from teleop.errors import Refused, nearest, number_of
 from teleop.sweeps.pictures.layout import (
     OTHER,
@@ -61,8 +63,6 @@ def _edges(axis: Any, values: tuple[Any, ...]) -> NDArray[Any]:
 
     So the map ends where the grid does: nothing was run beyond, and there may be nothing, as with a delay below 0.
     """
-    import numpy as np
-
     scale_of_axis = axis.get_transform()
     at = scale_of_axis.transform(np.array(values, dtype=float))
     middle = scale_of_axis.inverted().transform((at[1:] + at[:-1]) / 2.0)
@@ -82,8 +82,6 @@ class MapPoints:
 
 def map_points(table: Table, rows: NDArray[Any], x: PlottedKnob, y: PlottedKnob, metric: str | None) -> MapPoints:
     """Outcome of `rows` over the knobs x and y: their status, and the metric if one is shown."""
-    import numpy as np
-
     at, where = np.unique(x.place[rows] * len(y.values) + y.place[rows], return_inverse=True)
     status = table["status"][rows]
     ok = status == "ok"
@@ -105,7 +103,6 @@ def draw_maps(
 
     `words` are what the legend says of a status, `measured` the metric with its unit; `page`: see `picture_of`.
     """
-    import numpy as np
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
     from matplotlib.lines import Line2D
@@ -173,7 +170,6 @@ def _norm(values: NDArray[Any]) -> Any:
 def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, points: MapPoints, paint: NDArray[Any], sampled: bool,
            most: int) -> bool:
     """Colour the points: cells of a grid, with the boundary between them, or dots; True if there is a boundary."""
-    import numpy as np
     from matplotlib.collections import LineCollection
 
     if sampled:
@@ -291,8 +287,6 @@ def _curves(
 
     `page`: see `picture_of`; lines of numbers have no gradient of colours, and points have names.
     """
-    import numpy as np
-
     x, by = knobs[0], knobs[1] if len(knobs) > 1 else None
     places = [0] if by is None else spread(len(by.values), LINES)
     where_x = np.array(x.values) if x.numeric else np.arange(len(x.values))

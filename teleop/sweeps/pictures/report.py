@@ -7,6 +7,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.errors import Refused, plural
 from teleop.scene.catalogue import units_of
 from teleop.simulation.result import has_record
@@ -71,8 +73,6 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
 
 def sentences(table: Table) -> dict[str, int]:
     """Why rows were refused, and how many for each reason; the most frequent first."""
-    import numpy as np
-
     refusals = table["sentence"][table["status"] == "refused"]
     texts, counts = np.unique([str(text) for text in refusals.tolist() if text is not None], return_counts=True)
     return dict(sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda pair: -pair[1]))

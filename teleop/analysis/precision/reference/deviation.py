@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.simulation.metrics import magnitude
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from teleop.scene.scene import Scene
@@ -30,8 +31,6 @@ class Error(NamedTuple):
 
 def distance(name: str, got: Mapping[str, Any], want: Mapping[str, Any]) -> NDArray[np.float64]:
     """Magnitude of the difference at every tick that both runs had."""
-    import numpy as np
-
     n = min(len(got["t"]), len(want["t"]))
     with np.errstate(all="ignore"):
         size: NDArray[np.float64] = magnitude(got[name][:n] - want[name][:n])
@@ -40,8 +39,6 @@ def distance(name: str, got: Mapping[str, Any], want: Mapping[str, Any]) -> NDAr
 
 def errors(got: Mapping[str, Any], want: Mapping[str, Any]) -> dict[str, Error]:
     """The error of every quantity of `SERIES`."""
-    import numpy as np
-
     by_series = {}
     for name in SERIES:
         size = distance(name, got, want)
@@ -54,8 +51,6 @@ def errors(got: Mapping[str, Any], want: Mapping[str, Any]) -> dict[str, Error]:
 
 def peak_ratio(got: Mapping[str, Any], want: Mapping[str, Any]) -> float | None:
     """The largest force on the environment over that of the other run; None where that is 0 or infinite."""
-    import numpy as np
-
     with np.errstate(all="ignore"):
         mine, theirs = (float(magnitude(trace["f_env"]).max()) for trace in (got, want))
         ratio = mine / theirs if theirs else float("nan")
@@ -69,8 +64,6 @@ def touching(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
     environment. Runge-Kutta methods keep it exactly, being linear in the state; the split ones to `b dt dv`.
     An impulse that friction may have made is not counted.
     """
-    import numpy as np
-
     from teleop.simulation.integrators.parts import slave_of
 
     body = slave_of(scene)
@@ -88,8 +81,6 @@ def touching(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
 
 def contacts(touching: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First and last tick of every contact: a stretch in which the environment takes a force, short gaps included."""
-    import numpy as np
-
     at = np.flatnonzero(touching)
     if not len(at):
         return []

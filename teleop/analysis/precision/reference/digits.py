@@ -20,6 +20,8 @@ from itertools import cycle
 from math import hypot, isfinite, nan, pi, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from teleop.analysis.precision.reference.deviation import Steps
 from teleop.physics.plant import Plant, move_free, move_gripped
 from teleop.simulation.bodies import Bodies, exact_bodies
@@ -286,8 +288,6 @@ def run_in_digits(scene: Scene, seed: int, tell: Callable[[], None] | None = Non
 
 def _force_rounding(column: Any, slaves: list[Body]) -> float:
     """The largest difference (N) between a run's force on the environment and that of the motion in all its digits."""
-    import numpy as np
-
     forces = np.array([body.forces for body in slaves]).T[: len(column) - 1]
     off = magnitude(column[1 : len(forces) + 1].reshape(forces.shape) - forces)
     return float(np.nanmax(off, initial=0.0))
