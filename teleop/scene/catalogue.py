@@ -18,18 +18,8 @@ from teleop.knob import Declared, knobs_of_fields
 from teleop.law import BUILT_IN, find_law, known_laws
 from teleop.laws.around.names import EXAMPLES, STAGES
 from teleop.naming import DEVICE_KINDS, known_places
+from teleop.scene import library
 from teleop.scene.knobs import COMMON, knobs_of, read_law
-from teleop.scene.library import (
-    ROOT,
-    built_in_scenes,
-    file_law,
-    file_named,
-    import_bundled,
-    known_scenes,
-    laws_in,
-    own_module,
-    scene_function,
-)
 from teleop.stages.velocity import ESTIMATORS
 
 
@@ -48,7 +38,7 @@ def names() -> dict[str, dict[str, str]]:
     """Names by their kind, each with its meaning; no scene or law of a plug-in is imported."""
     laws = known_laws()
     return {
-        "scenes": {name: _scene_line(name) for name in known_scenes()},
+        "scenes": {name: _scene_line(name) for name in library.known_scenes()},
         "laws": {name: _law_line(name, laws[name]) for name in sorted(laws)},
         "around": {name: _line(_load(where)) for name, where in sorted(STAGES.items())},
         "effects": {name: _line(_load(where)) for name, where in sorted(_effects().items())},
@@ -72,10 +62,10 @@ def find(name: str) -> list[Named]:
     """
     if "|" in name or name.endswith(")"):
         return [_law(name, type(read_law(name)))]
-    if file_named(name):
+    if library.file_named(name):
         return _in_file(name)
     entries = []
-    if name in known_scenes():
+    if name in library.known_scenes():
         entries.append(_scene(name))
     if name in (laws := known_laws()):
         entries.append(_law(name, _load(laws[name])))
@@ -92,7 +82,7 @@ def find(name: str) -> list[Named]:
         entries.append(Named("velocity estimator", name, _line(estimator), knobs_of_fields(estimator),
                            f"--set 'velocity={name}(NAME=VALUE)' of a scene that has this knob"))
     if not entries:
-        raise UnknownName(name, {*known_scenes(), *laws, *STAGES, *effects, *estimators})
+        raise UnknownName(name, {*library.known_scenes(), *laws, *STAGES, *effects, *estimators})
     return entries
 
 
@@ -102,7 +92,7 @@ def units_of(name: str, knobs: Sequence[str], law: type[Any] | None = None) -> d
     `law`: its class; left out, the units are those of the built-in laws.
     """
     try:
-        knobs_by_name = dict(knobs_of(scene_function(name)))
+        knobs_by_name = dict(knobs_of(library.scene_function(name)))
     except Refused:  # the scene's file is gone, or is no scene any more
         return {}
     if any(knob.startswith("law.") for knob in knobs):
@@ -114,9 +104,9 @@ def units_of(name: str, knobs: Sequence[str], law: type[Any] | None = None) -> d
 def _in_file(text: str) -> list[Named]:
     """The scene and the laws of a file of the user's own, or the law of `FILE.py:CLASS`."""
     if not text.endswith(".py"):
-        return [_law(text, file_law(text))]
-    module = own_module(Path(text), "a scene or a law", "give the path of a .py file with a scene or a law")
-    laws = laws_in(text)
+        return [_law(text, library.file_law(text))]
+    module = library.own_module(Path(text), "a scene or a law", "give the path of a .py file with a scene or a law")
+    laws = library.laws_in(text)
     knobs = [_law(text if len(laws) == 1 else f"{text}:{name}", law) for name, law in laws.items()]
     if callable(getattr(module, "scene", None)) or not knobs:
         knobs.insert(0, _scene(text))
@@ -124,7 +114,7 @@ def _in_file(text: str) -> list[Named]:
 
 
 def _scene(name: str) -> Named:
-    function = scene_function(name)
+    function = library.scene_function(name)
     return Named("scene", name, _line(function), knobs_of(function), "--set NAME=VALUE")
 
 
@@ -133,7 +123,7 @@ def _law(name: str, law: Any) -> Named:
 
 
 def _effects() -> Mapping[str, str]:
-    entries: Mapping[str, str] = import_bundled("channel.link").known_effects()
+    entries: Mapping[str, str] = library.import_bundled("channel.link").known_effects()
     return entries
 
 
@@ -155,16 +145,17 @@ def _law_line(name: str, where: str) -> str:
 
 def _scene_line(name: str) -> str:
     """The first line of a scene's docstring, read from its file without importing it."""
-    if name not in built_in_scenes():
+    if name not in library.built_in_scenes():
         return "from a plug-in"
-    tree = ast.parse((ROOT / "scenarios" / f"{name}.py").read_text(encoding="utf-8"))
+    tree = ast.parse((library.ROOT / "scenarios" / f"{name}.py").read_text(encoding="utf-8"))
     made = (node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "scene")
     return next(((ast.get_docstring(node) or "").partition("\n")[0] for node in made), "")
 
 
 def _load(where: str) -> Any:
     module, _, attribute = where.partition(":")
-    return getattr(import_bundled(module) if module.startswith("channel.") else import_module(module), attribute)
+    load = library.import_bundled if module.startswith("channel.") else import_module
+    return getattr(load(module), attribute)
 
 
 def device_line(e: str, name: str, place: str) -> str:
@@ -172,7 +163,7 @@ def device_line(e: str, name: str, place: str) -> str:
     if DEVICE_KINDS[e].built_in.get(name) != place:
         return f"from a plug-in, {place}"
     module, _, maker = place.partition(":")
-    file = ROOT.joinpath(*module.split(".")).with_suffix(".py")
+    file = library.ROOT.joinpath(*module.split(".")).with_suffix(".py")
     if not file.is_file():
         return ""
     for node in ast.parse(file.read_text(encoding="utf-8")).body:

@@ -18,16 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from teleop.analysis.models import linear
 from teleop.analysis.models.by_axis import alike
-from teleop.analysis.models.linear import (
-    StateSpace,
-    about_rest,
-    like,
-    matrix,
-    not_linear,
-    refuse_nonlinear_parts,
-    with_linear_law,
-)
 from teleop.analysis.models.loop import Crossing, Loop, imaginary_axis, open_poles
 from teleop.errors import Refused
 from teleop.law import At, law_name, reads, start_at
@@ -58,8 +50,8 @@ def continuous(scene: Scene) -> Continuous:
     TDS stability analysis", IEE Proc. D 134(2), 1987). Of several axes the worst. Raises `Refused` if the scene is
     not linear or has no continuous limit.
     """
-    scene = about_rest(with_linear_law(scene))
-    refuse_nonlinear_parts(scene)
+    scene = linear.about_rest(linear.with_linear_law(scene))
+    linear.refuse_nonlinear_parts(scene)
     margins = [_margin(single) for single, _ in alike(scene)]
     return min(margins, key=lambda m: (m.stable_without_delay, m.round_trip is None, m.round_trip or 0.0))
 
@@ -108,7 +100,7 @@ def _events(crossing: Crossing) -> Iterator[tuple[float, Crossing]]:
         yield (phase + 2.0 * pi * turn) / crossing.at.imag, crossing
 
 
-def continuous_ends(scene: Scene) -> tuple[StateSpace, StateSpace]:
+def continuous_ends(scene: Scene) -> tuple[linear.StateSpace, linear.StateSpace]:
     """Both ends of a scene of one axis as `X' = A X + B rx`, `tx = C X + D rx`."""
     from teleop.simulation.bodies import exact_bodies
     from teleop.simulation.structure import structure_of
@@ -129,7 +121,7 @@ def continuous_ends(scene: Scene) -> tuple[StateSpace, StateSpace]:
 
 
 def _end(scene: Scene, e: str, *, mass: float, damping: float, k: float, push: float,
-         sensor: tuple[float, float, float], bandwidth: float | None) -> StateSpace:
+         sensor: tuple[float, float, float], bandwidth: float | None) -> linear.StateSpace:
     """`mass x'' + damping x' + k x = push f`, read by a sensor `f = k' x + d' v - m' (mass a)` and held by the law."""
     law, states, inputs = law_limit(scene, e)
     n = 2 + (bandwidth is not None) + states
@@ -155,7 +147,7 @@ def _end(scene: Scene, e: str, *, mass: float, damping: float, k: float, push: f
         return [v, a, *seen, *answer[:states], *answer[states + 1:]]
 
     response = np.array([respond(row) for row in np.eye(n + inputs)]).T
-    return StateSpace(response[:n, :n], response[:n, n:], response[n:, :n], response[n:, n:])
+    return linear.StateSpace(response[:n, :n], response[:n, n:], response[n:, :n], response[n:, n:])
 
 
 def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
@@ -176,16 +168,16 @@ def law_limit(scene: Scene, e: str) -> tuple[Matrix, int, int]:
     def short(dt: float) -> Matrix:
         def respond(numbers: Any) -> list[float]:
             take = iter(numbers)
-            s = like(sample, take)
+            s = linear.like(sample, take)
             at = At(next(take), next(take), next(take), nan, nan, True, nan, dt, dt)
-            rx = like(message, take)
+            rx = linear.like(message, take)
             over = (sums(s, at, rx),) if sums else ()
             f, tx, after = end(s, at, rx, *over)
             return [*after, f, *tx]
 
-        response = matrix(respond, states + 3 + inputs)
+        response = linear.matrix(respond, states + 3 + inputs)
         if response is None:
-            raise not_linear(scene, e)
+            raise linear.not_linear(scene, e)
         unread = [i for i in range(states) if not response[:, i].any()]
         response = np.delete(np.delete(response, unread, axis=0), unread, axis=1)
         remaining = states - len(unread)

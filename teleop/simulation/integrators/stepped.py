@@ -15,17 +15,9 @@ from teleop.errors import Refused, nearest, number_of
 from teleop.physics.contact import WallStep, move_wall, wall_force
 from teleop.physics.plant import Gripped, MassDamper, Plant, Sprung, linear_force, move_free, move_linear
 from teleop.simulation.bodies import Bodies, exact_bodies
-from teleop.simulation.integrators import relaxed
+from teleop.simulation.integrators import parts, relaxed
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch, wall_coefficients
 from teleop.simulation.integrators.nonlinear import ADVANCE, goes, held_stepped, move_stepped, stepped_force
-from teleop.simulation.integrators.parts import (
-    core_of,
-    has_closed_form,
-    master_branch,
-    rebuilt,
-    relaxing_branch,
-    slave_of,
-)
 
 if TYPE_CHECKING:
     from teleop.scene.scene import Scene
@@ -95,23 +87,23 @@ def method_bodies(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
 def _moved_by(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
     dt = scene.dt_ns / 1e9
     exact = exact_bodies(scene)
-    if not (goes(method) or has_closed_form(scene)):
+    if not (goes(method) or parts.has_closed_form(scene)):
         raise Refused(f"{method.label} is not known on bodies that are not piecewise linear; take for example sdirk2")
 
     def moved(still: Plant, environment: Any) -> Plant:
-        if (held := core_of(still)) is not None:
+        if (held := parts.core_of(still)) is not None:
             return Plant(move_stepped, stepped_force, (*held, ADVANCE[method.name], dt / n, n), ())
-        if (branch := relaxing_branch(still, environment, slave_of(scene))) is not None:
+        if (branch := parts.relaxing_branch(still, environment, parts.slave_of(scene))) is not None:
             return still._replace(move=relaxed.bonded(relaxed.stepped(method, branch, dt, n)))
-        return stepped(method, touch_of(still, slave_of(scene)), dt, n)
+        return stepped(method, touch_of(still, parts.slave_of(scene)), dt, n)
 
-    slaves = rebuilt(scene, moved)
+    slaves = parts.rebuilt(scene, moved)
     if scene.master.friction > 0.0:
         move = held_stepped(exact.master[0][0], ADVANCE[method.name], dt, n)
         return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move},
                               inner_m=((),) * scene.axes, report_m=None)
     if scene.electrical is not None:
-        move = relaxed.step_held(relaxed.stepped(method, master_branch(scene), dt, n), dt, scene.master.damping)
+        move = relaxed.step_held(relaxed.stepped(method, parts.master_branch(scene), dt, n), dt, scene.master.damping)
         return exact._replace(slaves=slaves, instead={**exact.instead, "move_held": move})
     if scene.hand is None:
         body = Touch(scene.master.mass, scene.master.damping)
