@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import inf, sin
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop import kind
 from teleop.errors import Refused
@@ -25,9 +26,6 @@ from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 LOW = 1e-9  # J, and 1e-12 of the energy that went through: what rounding may take a ledger below zero
 LOOPS = 24

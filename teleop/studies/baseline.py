@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import sqrt
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.errors import Refused
 from teleop.physics.plant import MassDamper
@@ -23,9 +24,6 @@ from teleop.scene.scene import Scene
 from teleop.simulation.bodies import reference_samples, slave_plants
 from teleop.simulation.felt import END
 from teleop.simulation.rest import still
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 LATE = 0.5  # the share of a run, from its end, that counts as late: the hand is in contact then
 

@@ -22,8 +22,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf, nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from teleop.analysis.models.linear import linear_scene, link_ticks
+from teleop.analysis.models.loop import sampled_loop
 from teleop.analysis.stability.assess import stability
 from teleop.errors import Refused
 from teleop.physics.plant import MassDamper, Plant, spring_damper
@@ -33,9 +35,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.playout import Integral, Scaled, Zero, gaps_of
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import link_plans, median_age
-
-if TYPE_CHECKING:
-    from teleop.simulation.result import Result
+from teleop.simulation.result import Result
 
 
 class Margin(NamedTuple):
@@ -87,9 +87,6 @@ def stable_with(scene: Scene, gain: float, *, seed: int = 0) -> tuple[bool, str]
 
     None where it cannot be worked out. A count of roots each, far quicker than `margin`, which looks for the edge.
     """
-    from teleop.analysis.models.linear import linear_scene
-    from teleop.analysis.models.loop import sampled_loop
-
     for where, each in _modes(linearise(scene, seed)[0]):
         try:
             linear = linear_scene(each, seed=seed)
@@ -162,8 +159,6 @@ def _change(scene: Scene, name: str, **numbers: Any) -> Scene:
 
 def _median_ages(scene: Scene, seed: int) -> Sequence[int] | None:
     """The ticks that a message takes each way, at least one; None where each takes as long anyway."""
-    from teleop.analysis.models.linear import link_ticks
-
     queue = scene.wave_playout.target if isinstance(scene.wave_playout, Integral) else 0.0
     left_out = scene.leaves_out("m") is not None or scene.leaves_out("s") is not None
     if not left_out and queue == 0.0:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import suppress
 from enum import Enum
 from functools import partial
+from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from teleop.errors import Refused
@@ -34,8 +37,6 @@ def in_parallel(function: Callable[[Job], Answer], jobs: Sequence[Job], workers:
     if workers < 2:
         yield from map(function, jobs)
         return
-    from multiprocessing import get_context
-
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin)
     try:
         yield from _in_turn(pool, function, jobs, workers)
@@ -73,7 +74,6 @@ def stream(function: Callable[[Job, Callable[[Any], None]], Answer], jobs: Seque
             begin(number)
             yield number, function(job, partial(take, number))
         return
-    from multiprocessing import get_context
     from multiprocessing.connection import wait as ready
 
     spawn = get_context("spawn")
@@ -142,9 +142,6 @@ def _begin() -> None:
 
     It goes before the first job, since the job's function loads numpy.
     """
-    import os
-    import signal
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")

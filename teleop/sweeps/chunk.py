@@ -12,20 +12,18 @@ from numbers import Real
 from threading import Lock
 from time import perf_counter
 from traceback import format_exception, walk_tb
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.law.contract import file_line
 from teleop.scene.library import OwnFile
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import of_plan
+from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from teleop.sweeps.engine import OF_PLAN, WHOLE, Measure
 from teleop.sweeps.kernels.kernel import TICKS, Kernel, NotCompiled, RowInputs, Schedules, figures, has_packets
 from teleop.sweeps.rows import Edited, Ready, RowGroup, RowMaker
-
-if TYPE_CHECKING:
-    from teleop.simulation.result import Result
 
 LONGEST = 80  # characters of a value that a sentence shows
 

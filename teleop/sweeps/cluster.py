@@ -8,22 +8,28 @@ and none comes twice.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import pickle
+import re
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, InvalidStateError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
+from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
+from uuid import uuid4
+from weakref import ref
 
 from teleop.errors import Refused
 from teleop.scene.library import ROOT, beside, file_named
 from teleop.storage.files import read_bytes
+from teleop.sweeps.chunk import ChunkResult, Job
 
-if TYPE_CHECKING:
-    from teleop.sweeps.chunk import ChunkResult, Job
 
 def answer(version: str, files: Sequence[tuple[str, str]], packed: bytes) -> tuple[str, bytes | str]:
     """Run a chunk at a worker: its address, and the rows as bytes or a sentence with the reason that there are none.
@@ -52,8 +58,6 @@ def answer(version: str, files: Sequence[tuple[str, str]], packed: bytes) -> tup
 @cache
 def sources() -> str:
     """The version of this package and a digest of its files, as this process found them: others make other rows."""
-    from hashlib import sha256
-
     from teleop.version import __version__
 
     digest = sha256()
@@ -65,8 +69,6 @@ def sources() -> str:
 
 def digest_of(path: str) -> str | None:
     """Digest of a file and of the files beside it that it imports; none if it cannot be read."""
-    from hashlib import sha256
-
     try:
         digest = sha256(read_bytes(path))
         for name, file in beside(Path(path)).items():
@@ -92,8 +94,6 @@ def parse_address(text: str) -> str:
     >>> parse_address("10.0.0.7:8786")
     'tcp://10.0.0.7:8786'
     """
-    import re
-
     parts = re.fullmatch(r"((?:tcp|tls)://)?(\[[0-9a-fA-F:.%]+\]|[^\s:/@\[\]]+):([0-9]{1,5})", text.strip())
     if parts is None or not 0 < int(parts[3]) < 65536:
         raise Refused(f"--cluster {text} is no address of a scheduler; write HOST:PORT, for example 127.0.0.1:8786, "
@@ -108,8 +108,6 @@ def connected(address: str, tell: Callable[[str], None] = lambda _: None) -> Ite
     Raises `Refused` within 10 s if the extra is not installed, if nobody answers there, if it is no scheduler, or one
     of another release. What is under way at the end is cancelled.
     """
-    from importlib.util import find_spec
-
     at = parse_address(address)
     if find_spec("distributed") is None:
         raise Refused("--cluster needs dask.distributed: pip install 'bilateral-teleop[cluster]', or leave it out and "
@@ -175,9 +173,6 @@ class Cluster(Executor):
         self._desk.shutdown(wait=False, cancel_futures=True)
 
     def _hand_out(self, packed: bytes, fn: Work, job: Job, future: Future[ChunkResult], tries: int) -> None:
-        from uuid import uuid4
-        from weakref import ref
-
         # With a key of its own no result is taken for that of another chunk, one of an earlier sweep for example.
         sent = self._dask.submit(pickle.loads, packed, key=f"teleop-{uuid4().hex}")
 
@@ -301,8 +296,6 @@ def _killed(job: Job, killed: Any) -> str:
 
 def _greet(at: str) -> None:
     """Ask who is there, and raise `Refused` unless it is a scheduler of this release."""
-    import asyncio
-
     from distributed import __version__
 
     async def ask() -> tuple[Any, Any]:
@@ -329,8 +322,6 @@ def _greet(at: str) -> None:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keep dask's own log lines and warnings off the terminal: what matters of them is told as a sentence."""
-    import warnings
-
     import distributed  # noqa: F401  (it sets up its logging when it is imported)
 
     known = [logging.getLogger(name) for name in ("distributed", "tornado", "asyncio")]

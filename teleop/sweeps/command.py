@@ -7,11 +7,14 @@ from argparse import Namespace
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
+from typing import Any, NamedTuple, TextIO
 
 from teleop.errors import Refused, number_of, plural
+from teleop.scene.scene import Scene
 from teleop.simulation.notes import untuned
 from teleop.simulation.result import head, law_with_gains, parameters
+from teleop.sweeps.grid import grid, parse_axes, parse_ranges, sampled
+from teleop.sweeps.pictures.picture import check
 from teleop.sweeps.pictures.report import (
     PictureRequest,
     joined,
@@ -23,16 +26,15 @@ from teleop.sweeps.pictures.report import (
     with_picture,
     write,
 )
+from teleop.sweeps.runner import Sweep, plan_sweep
+from teleop.sweeps.runner import carry_out as run_rows
+from teleop.sweeps.store import Store
+from teleop.sweeps.table import Table
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, INTERRUPTED, complain, knobs_from
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import RowsProgress
 from teleop.terminal.table import facts, grouped
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
-    from teleop.sweeps.runner import Sweep
-    from teleop.sweeps.table import Table
 
 MANY = 1_000_000_000  # rows: more are a slip of the keyboard unless somebody says --yes
 
@@ -119,9 +121,6 @@ def command(args: Namespace) -> Answer:
 
 def _plan(args: Namespace) -> Sweep:
     """Plan the sweep that was typed, with its points from `--latin` or `--random`, or from a grid. Raises `Refused`."""
-    from teleop.sweeps.grid import grid, parse_axes, parse_ranges, sampled
-    from teleop.sweeps.runner import plan_sweep
-
     text, count = args.metrics, args.latin or args.random
     metrics = None if text is None else [one.strip() for one in text.split(",") if one.strip()]
     if metrics == []:
@@ -144,8 +143,6 @@ def carry_out(plan: Sweep, folder: Path, *, cluster: str | None, workers: int | 
     `clock` (s) times it.
     """
     from teleop.sweeps.cluster import connected
-    from teleop.sweeps.runner import carry_out as run_rows
-    from teleop.sweeps.store import Store
 
     line = None if stream is None else RowsProgress(stream)
 
@@ -189,8 +186,6 @@ def in_common(first: Scene, turned: Collection[str]) -> dict[str, object]:
 
 def _check_picture(plan: Sweep, request: PictureRequest) -> None:
     """Refuse the picture of a sweep whose grid cannot give one, before anything is run."""
-    from teleop.sweeps.pictures.picture import check
-
     several = {name: [point[i] for point in points] for names, points in plan.grid.axes for i, name in enumerate(names)
                if any(point[i] != points[0][i] for point in points)}
     numeric = [name for name, values in several.items()

@@ -13,7 +13,7 @@ from functools import lru_cache
 from importlib import import_module
 from pickle import UnpicklingError
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from teleop.errors import Refused, nearest
 from teleop.law import functions_of
@@ -23,6 +23,7 @@ from teleop.simulation.bodies import Bodies
 from teleop.simulation.felt import MOST_RANKS, ranks
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import Prepared, prepare
+from teleop.simulation.result import Result
 from teleop.sweeps.kernels.figures import KEPT as KEPT_ALONG
 from teleop.sweeps.kernels.figures import layout
 from teleop.sweeps.kernels.functions import constants
@@ -39,9 +40,6 @@ from teleop.sweeps.kernels.kernel import (
     plain_kernel,
     tree_of,
 )
-
-if TYPE_CHECKING:
-    from teleop.simulation.result import Result
 
 Measure = str | Callable[["Result"], float]
 

@@ -10,7 +10,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from fractions import Fraction
+from hashlib import sha256
 from itertools import islice
+from json import dumps
 from math import log10, prod
 from numbers import Integral, Real
 from os import PathLike, fspath
@@ -287,8 +289,6 @@ def _evenly(low: float, high: float, n: int) -> list[float]:
 
 def _draws(name: str, n: int, key: int, latin: bool) -> list[float]:
     """`n` numbers in [0, 1) of a knob's own dice; with `latin` one of them in each of n equal parts."""
-    from hashlib import sha256
-
     from numpy.random import Philox
 
     keys = np.array([key, int.from_bytes(sha256(name.encode()).digest()[:8], "little")], np.uint64)
@@ -305,9 +305,6 @@ def _summarise(values: list[Any]) -> Any:
     """The values; of many their number, their ends and the SHA-256 of their JSON."""
     if len(values) <= WRITTEN_OUT:
         return values
-    from hashlib import sha256
-    from json import dumps
-
     digest = sha256(dumps(_alike(values)).encode()).hexdigest()
     return {"count": len(values), "first": values[0], "last": values[-1], "sha256": digest}
 

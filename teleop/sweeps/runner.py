@@ -28,6 +28,7 @@ from teleop.sweeps.kernels.functions import digest, file_digest, sources
 from teleop.sweeps.kernels.kernel import available
 from teleop.sweeps.store import METRIC_SOURCES, Store
 from teleop.sweeps.table import Table, TableBuilder
+from teleop.version import __version__
 
 CHUNK = 0.5  # s of work that a chunk aims at
 LARGEST = 4096  # rows in one
@@ -58,8 +59,6 @@ class Sweep:
 
     def definition(self) -> dict[str, Any]:
         """Definition that the folder of this sweep must match."""
-        from teleop.version import __version__
-
         metric_digests = {one.__name__: digest(sources([one])) for one in self.measures if not isinstance(one, str)}
         return {
             "scene": self.scene,

@@ -17,7 +17,7 @@ from io import FileIO
 from math import inf, isfinite, prod
 from pathlib import Path
 from sys import maxsize
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 from teleop.errors import Refused, number_of
 from teleop.storage import strict_json as stored
@@ -37,9 +37,7 @@ from teleop.storage.strict_json import (
 )
 from teleop.storage.strict_json import LONGEST as LONGEST_NUMBER
 from teleop.sweeps.grid import json_value
-
-if TYPE_CHECKING:
-    from teleop.sweeps.table import Table
+from teleop.sweeps.table import Table
 
 DEFINITION = "sweep.json"
 PART = f".{DEFINITION}.part"
@@ -397,8 +395,6 @@ class Store:
 
     def table(self) -> Table:
         """Every row that is there, by number: the same table whatever order they finished in."""
-        from teleop.sweeps.table import Table
-
         axes = self.definition.get("grid", {}).get("axes", ())
         knobs = tuple(knob for axis in axes for knob in axis["knobs"])
         return Table(self.rows(), knobs, tuple(self.definition.get("metrics", ())))

@@ -9,22 +9,22 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
+from csv import writer
 from dataclasses import dataclass
+from json import dumps
 from math import isfinite, isnan, nan
 from numbers import Real
 from pathlib import Path
 from types import NoneType
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.errors import Refused, nearest, number_of
 from teleop.storage.files import replacing_text
 from teleop.sweeps.grid import check_count, json_value
 from teleop.terminal.table import columns, printable
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 STATUSES = ("ok", "limit cycle", "unstable", "diverged", "refused")  # the order in which they are counted
 SHOWN = 6  # rows of a table as text
@@ -215,8 +215,6 @@ class Table:
 
     def to_csv(self, path: Path | str) -> None:
         """Write all rows under a heading; a cell without a value is empty, numbers are to their last digit."""
-        from csv import writer
-
         with _whole(Path(path)) as file:
             lines = writer(file)  # with \r\n after a line (RFC 4180), so that a text with either sign is put in quotes
             lines.writerow(self._file_columns())
@@ -228,8 +226,6 @@ class Table:
 
         `pandas.read_json(path, lines=True)` reads it as it is.
         """
-        from json import dumps
-
         with _whole(Path(path)) as file:
             for names, values in self._values(self._file_columns()):
                 cells = (None if type(value) is float and not isfinite(value) else json_value(value)
@@ -344,8 +340,6 @@ def _missing(value: Any) -> bool:
 
 def _cell(value: Any) -> Any:
     """A value for CSV: a list as JSON."""
-    from json import dumps
-
     return dumps(json_value(value)) if isinstance(value, list | tuple) else value
 
 

@@ -7,16 +7,13 @@ scene is that of each axis beside the others: its roots are theirs together.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from teleop.analysis.models.linear import with_linear_law
 from teleop.errors import Refused, nearest
 from teleop.law import law_name
 from teleop.scene.axes import PER_AXIS
-from teleop.scene.scene import on_axis
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
+from teleop.scene.scene import Scene, on_axis
 
 
 class Alike(NamedTuple):

@@ -14,19 +14,19 @@ from heapq import merge
 from itertools import count, islice
 from math import nan, pi
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from teleop.analysis.models import linear
 from teleop.analysis.models.by_axis import alike
+from teleop.analysis.models.linear import Matrix
 from teleop.analysis.models.loop import Crossing, Loop, imaginary_axis, open_poles
 from teleop.errors import Refused
 from teleop.law import At, law_name, reads, start_at
 from teleop.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from teleop.analysis.models.linear import Matrix
+from teleop.simulation.bodies import exact_bodies
+from teleop.simulation.structure import structure_of
 
 NOISE = 1e-8  # of |l_j|, which knows the law's limit no better
 SLOWEST = 1e-4  # rad/s: what is slower stays where it is
@@ -58,8 +58,6 @@ def continuous(scene: Scene) -> Continuous:
 
 def refuse_ticks(scene: Scene) -> None:
     """Refuse what is made of ticks, or has more states than the ends here are built with."""
-    from teleop.simulation.structure import structure_of
-
     if scene.slave is None:
         raise Refused("a scene without a slave has no link whose delay could be asked for; ask without --continuous")
     structure = structure_of(scene)
@@ -102,9 +100,6 @@ def _events(crossing: Crossing) -> Iterator[tuple[float, Crossing]]:
 
 def continuous_ends(scene: Scene) -> tuple[linear.StateSpace, linear.StateSpace]:
     """Both ends of a scene of one axis as `X' = A X + B rx`, `tx = C X + D rx`."""
-    from teleop.simulation.bodies import exact_bodies
-    from teleop.simulation.structure import structure_of
-
     refuse_ticks(scene)
     assert scene.slave is not None  # refused above
     body, hand = scene.master, scene.hand

@@ -38,17 +38,14 @@ needs K T/2. There only a known E can be asked: `sampled.needed_damping`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from teleop.analysis.models.peak import highest
+from teleop.analysis.models.peak import Reals, highest
 from teleop.analysis.models.sampled import Impedance, Needed, frequency, on_circle, smooth
 from teleop.errors import number, whole_number
-
-if TYPE_CHECKING:
-    from teleop.analysis.models.peak import Reals
-    from teleop.law.analysis_offers import Coupling
+from teleop.law.analysis_offers import Coupling
 
 ROUNDING = 1e-9  # of |E|: a lossless element's real part is no better known
 

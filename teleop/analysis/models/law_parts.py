@@ -6,25 +6,18 @@ from __future__ import annotations
 
 from dataclasses import fields, is_dataclass, replace
 from math import pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from teleop.analysis.models.by_axis import one_loop
-from teleop.analysis.models.linear import linear_estimator, matrix
+from teleop.analysis.models.linear import StateSpace, linear_estimator, matrix
 from teleop.analysis.models.loop import transfer
 from teleop.analysis.models.one_port_loop import controller, one_axis
+from teleop.analysis.models.peak import Points, Reals
 from teleop.errors import Refused
 from teleop.law import law_name
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.analysis.models.linear import StateSpace
-    from teleop.scene.scene import Scene
-    Points = NDArray[np.complex128]
-    Reals = NDArray[np.float64]
-
+from teleop.scene.scene import Scene
 
 LONGEST = 100_000  # ticks of an impulse response
 

@@ -16,12 +16,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import repeat
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.errors import Refused, enumerated
-from teleop.law import law_name
+from teleop.law import law_name, messages
 from teleop.law.analysis_offers import linear_hint, linear_law
 from teleop.scene.playout import Fixed, Integral, Scaled, Zero, as_typed, gaps_of
 from teleop.scene.scene import Scene
@@ -32,11 +33,7 @@ from teleop.simulation.tick import begin as begin_end
 from teleop.simulation.tick import move_master, move_slave, place_master, place_slave, sense_master, sense_slave, tick
 from teleop.stages.end import End, Run
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Matrix = NDArray[np.float64]
-
+Matrix = NDArray[np.float64]
 INSTEAD = "ask with --time, which runs it in virtual time"
 
 
@@ -369,8 +366,6 @@ def like(sample: Any, take: Iterator[float]) -> Any:
 
 
 def _end(scene: Scene, e: str, age: int) -> StateSpace:
-    from teleop.law import messages
-
     step = end_function(scene, e, age)
     forth, back = messages(scene.laws[0], scene.dt_ns / 1e9)
     fields_in = len((back if e == "m" else forth)._fields) * scene.axes

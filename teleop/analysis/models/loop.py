@@ -28,16 +28,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import acos, floor, pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.analysis.models.linear import LinearScene, StateSpace
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    Points = NDArray[np.complex128]
-
+from teleop.analysis.models.peak import Points
 
 EDGE = 1e-11  # how far outside the unit circle the curve runs, so that a pole on it is inside
 

@@ -12,12 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import exp, log
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from teleop.analysis.models import margins as of_two
 from teleop.analysis.models.linear import (
     LinearScene,
+    Matrix,
     StateSpace,
     begin,
     end_function,
@@ -26,16 +28,16 @@ from teleop.analysis.models.linear import (
     refuse_nonlinear_parts,
     with_linear_law,
 )
+from teleop.analysis.models.loop import sampled_loop
+from teleop.analysis.models.margins import critical_round_trip
+from teleop.analysis.models.peak import Points
+from teleop.analysis.models.roots import Mode, dominant
 from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.analysis.models.roots import Mode
-
-    Matrix = NDArray[np.float64]
+from teleop.simulation.structure import structure_of
+from teleop.stages.device import Device
+from teleop.stages.force_cap import Cap
 
 DEPTH = 1.0  # m
 SIZES = [0.25**i for i in range(1, 16)]  # of the neighbourhoods in which the map may be affine
@@ -61,7 +63,7 @@ class OnePort(NamedTuple):
             whole = tick @ whole
         return whole
 
-    def roots(self) -> NDArray[np.complex128]:
+    def roots(self) -> Points:
         """The loop's eigenvalues, per period."""
         return np.asarray(np.linalg.eigvals(self.period), dtype=np.complex128)
 
@@ -112,9 +114,6 @@ def cut_open(scene: Scene) -> LinearScene | None:
     that form: a force renewed more slowly than the tick, or a law that reads what acts on its device (a force sensor,
     an observer, the force that was held), which is the late one.
     """
-    from teleop.stages.device import Device
-    from teleop.stages.force_cap import Cap
-
     scene = one_axis(with_linear_law(scene))
     device = scene.device_m or Device()
     if device.every > 1:
@@ -138,8 +137,6 @@ def cut_open(scene: Scene) -> LinearScene | None:
 
 def _inner_states(scene: Scene) -> int:
     """States of the device beside position, velocity and held force."""
-    from teleop.simulation.structure import structure_of
-
     if not structure_of(scene).m.has.inner:
         return 0
     return len(begin(scene, "m")) - len(begin(replace(scene, electrical=None), "m"))
@@ -158,8 +155,6 @@ class Margins(NamedTuple):
 
 def margins(scene: Scene) -> Margins:
     """Roots and margins of a scene without a slave."""
-    from teleop.analysis.models.margins import critical_round_trip
-
     linear = cut_open(scene)
     margin = gain_and_mode(scene, linear)
     if linear is None:
@@ -169,10 +164,6 @@ def margins(scene: Scene) -> Margins:
 
 def gain_and_mode(scene: Scene, linear: LinearScene | None) -> Margins:
     """The same but for the delay; `linear` is the scene `cut_open`."""
-    from teleop.analysis.models import margins as of_two
-    from teleop.analysis.models.loop import sampled_loop
-    from teleop.analysis.models.roots import dominant
-
     if linear is None or linear.forth == 0:
         whole = one_port(scene)
         gain = _gain_margin(scene) if linear is None else of_two.gain_margin(linear)
@@ -185,8 +176,6 @@ def settles(scene: Scene) -> bool:
     """True if no root lies outside the unit circle; quicker than `margins`."""
     delay = 0 if scene.device_m is None else scene.device_m.delay
     if delay > FEW:
-        from teleop.analysis.models.loop import sampled_loop
-
         linear = cut_open(scene)
         if linear is not None:
             return not sampled_loop(linear).outside(linear.round_trip)
@@ -201,8 +190,6 @@ def unstable_roots(loop: OnePort) -> int:
 
 def _dominant(loop: OnePort) -> tuple[int, Mode | None]:
     """Roots at rest, and the greatest of the others as a motion."""
-    from teleop.analysis.models.roots import Mode
-
     roots = loop.roots()
     moving = roots[np.abs(roots - 1.0) > AT_REST]
     greatest = complex(moving[np.argmax(np.abs(moving))]) if moving.size else 0j
@@ -215,8 +202,6 @@ def _gain_margin(scene: Scene) -> float | None:
 
     A tick's map is affine in that factor: it is known from the map as it is and that of a force held at zero.
     """
-    from teleop.stages.force_cap import Cap
-
     whole = one_port(scene)
     dead = _ticks(replace(one_axis(with_linear_law(scene)), cap=Cap(f_max=0.0)), len(whole.ticks))
     unstable = unstable_roots(whole) > 0
@@ -240,8 +225,6 @@ def _gain_margin(scene: Scene) -> float | None:
 
 def _critical_delay(scene: Scene) -> int | None:
     """The least whole number of ticks of computation at which the loop is unstable; None if none up to `MOST_DELAY`."""
-    from teleop.stages.device import Device
-
     for ticks in range(MOST_DELAY + 1):
         device = replace(scene.device_m or Device(), delay=ticks)
         if unstable_roots(one_port(replace(scene, device_m=device))):

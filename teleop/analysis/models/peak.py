@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Reals = NDArray[np.float64]
-    Points = NDArray[np.complex128]
-
+Reals = NDArray[np.float64]
+Points = NDArray[np.complex128]
 FIRST = 3e-5  # rad: near enough to the limit at 0 (an even function is 1e-10 of itself off), far enough for rounding
 PER_TURN = 64  # places on each half turn of the delay's phase
 ROUNDS = 12

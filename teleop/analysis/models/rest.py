@@ -23,15 +23,14 @@ of no account here: `QUIET` is far below it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from teleop.scene.axes import labels_of
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import DISTURBED, STEPS, WINDOWS, disturbed, encoder_step, pitch, places, swings, trend
-
-if TYPE_CHECKING:
-    from teleop.simulation.result import Result
+from teleop.simulation.result import Result
+from teleop.simulation.virtual import run
 
 QUIET = 1e-7  # m
 LENGTHS = (1, 2, 4, 8, 16, 32)  # times the first
@@ -67,8 +66,6 @@ class _Seen(NamedTuple):
 
 def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> FreeMotion:
     """Judge a scene that nothing moves from tick `since` on. Its own duration is the first that is tried."""
-    from teleop.simulation.virtual import run
-
     first = scene.ticks - since
     before: _Seen | None = None
     for times in LENGTHS:

@@ -15,18 +15,16 @@ so is certified by the root count.
 
 from __future__ import annotations
 
+from cmath import exp as cexp
+from cmath import log as clog
 from math import exp, log, pi
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.analysis.models.linear import LinearScene, StateSpace
-from teleop.analysis.models.loop import FAINT, Loop, gains, indent, reach, sampled_loop
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.analysis.models.loop import Points
+from teleop.analysis.models.loop import FAINT, Loop, Points, gains, indent, reach, sampled_loop
 
 MOST_STATES = 400  # of a dense matrix
 FARTHEST = 600.0  # log |z^-d|; what is much beyond is no number
@@ -44,8 +42,6 @@ class Mode(NamedTuple):
     @classmethod
     def of(cls, z: complex, dt: float) -> Mode:
         """The motion `z^k`, ticks of dt seconds."""
-        from cmath import log as clog
-
         rate = clog(z)
         return cls(z, abs(rate.imag) / (2.0 * pi * dt), rate.real / dt, -rate.real / abs(rate) if rate else 0.0)
 
@@ -148,8 +144,6 @@ def _bracket(linear: LinearScene, resting: int) -> tuple[float, float] | None:
 
 def _root(linear: LinearScene, low: float, high: float) -> complex | None:
     """The root with log |z| between low and high."""
-    from cmath import exp as cexp
-
 
     loop = sampled_loop(linear, exp(low))
     low, high = log(reach(exp(low))), log(reach(exp(high)))  # where the roots were counted
@@ -224,8 +218,6 @@ def _nearest_log(loop: Loop, at: Points, guess: Points) -> Points:
 
 def _newton(linear: LinearScene, rate: complex) -> complex | None:
     """The zero of the loop's determinant that Newton's method comes to from `rate` = log z."""
-    from cmath import exp as cexp
-
 
     (first, second), d = _in_order(linear), linear.round_trip
     n, m, q = len(first.A), len(second.A), first.D.shape[1]

@@ -33,16 +33,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from teleop.analysis.models.peak import FIRST, Peak, highest
+from teleop.analysis.models.linear import StateSpace
+from teleop.analysis.models.loop import transfer
+from teleop.analysis.models.peak import FIRST, Peak, Points, Reals, highest
 from teleop.errors import number, whole_number
-
-if TYPE_CHECKING:
-    from teleop.analysis.models.linear import StateSpace
-    from teleop.analysis.models.peak import Points, Reals
 
 Impedance = Callable[[Any], Any]  # of z (an array): force per backward-difference velocity, N s/m
 
@@ -119,8 +117,6 @@ def spring_damper(K: float, B: float, T: float) -> Impedance:
 
 def of_state_space(controller: StateSpace, T: float) -> Impedance:
     """E(z) of a controller given as matrices from a position (m) to a force (N); its one input and one output."""
-    from teleop.analysis.models.loop import transfer
-
     def E(z: Any) -> Any:
         points = z.astype(np.complex128).ravel()
         return transfer(controller, points)[:, 0, 0].reshape(z.shape) * T / (1.0 - 1.0 / z)

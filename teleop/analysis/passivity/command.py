@@ -6,12 +6,16 @@ from argparse import Namespace
 from collections.abc import Sequence
 from functools import partial
 from math import ceil, floor, isfinite, log10
+from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from teleop.analysis.models.by_axis import along
+from teleop.analysis.models.coupling import alpha_max, alpha_miller
+from teleop.analysis.models.sampled import smooth
+from teleop.analysis.passivity.one_port import Behind, RenderedImpedance
 from teleop.analysis.passivity.report import PassivityAnswer, ask, curves, lacking, summary, table
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import write_npz
@@ -34,12 +38,8 @@ from teleop.terminal.plotting import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from teleop.analysis.passivity.one_port import Behind, RenderedImpedance
 
 STYLES = {"sampled": UNDER, "continuous": {"linestyle": "--", "linewidth": 1.1}}  # nearly the same at low frequencies
 ETA = (-1.3, 4.0)  # shown of Llewellyn's parameter
@@ -136,8 +136,6 @@ def _draw_one_port(figure: Figure, one: RenderedImpedance, data: dict[str, Any])
 
 def _lost(axes: Axes, one: RenderedImpedance, behind: Behind, data: dict[str, Any]) -> None:
     """Draw the cost of the coupling: the environment's impedance, the coupling's, and both together."""
-    from teleop.analysis.models.sampled import smooth
-
     f = data["frequency"]
     theta = 2.0 * np.pi * one.T * f
     parts: tuple[tuple[Any, str, dict[str, Any], str], ...] = (
@@ -169,8 +167,6 @@ def _needed(axes: Axes, one: RenderedImpedance, data: dict[str, Any]) -> None:
 
 def _diagram(axes: Axes, one: RenderedImpedance, behind: Behind) -> None:
     """Draw the passivity that an environment may lack, over the coupling made stiffer and more damped alike."""
-    from teleop.analysis.models.coupling import alpha_max, alpha_miller
-
     delta = one.damping
     factors = np.geomspace(1e-2, 1e2, 400)
     gamma = behind.gamma * factors
@@ -205,8 +201,6 @@ def _real(axes: Axes, one: RenderedImpedance, behind: Behind, frequency: Any) ->
 
     Below 0 it is not passive; above it is if nothing of it grows or anticipates, which the circle does not show.
     """
-    from teleop.analysis.models.sampled import smooth
-
     looks = (("explicit", RED), ("semi-implicit", ORANGE), ("trapezoid", SKY), ("backward", BLUE))
     greatest = one.damping
     for under, (name, colour) in enumerate(reversed(looks)):

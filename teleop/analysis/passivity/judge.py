@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import pi
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.analysis.models.by_axis import one_loop
+from teleop.analysis.models.peak import Points, Reals
 from teleop.analysis.passivity.two_port import TwoPort, continuous_two_port, sampled_two_port
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.analysis.models.peak import Points, Reals
 
 PLACES = 2000  # of the range, by equal ratios
 MOST_PLACES = 100_000  # with those that a delay asks for

@@ -33,23 +33,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import isfinite, pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from teleop.analysis.models import coupling, sampled
-from teleop.analysis.models.peak import highest
+from teleop.analysis.models.coupling import Lack
+from teleop.analysis.models.law_parts import check, effective_damping, law_parts, norms
+from teleop.analysis.models.linear import NotLinear, is_linear
+from teleop.analysis.models.one_port_loop import controller
+from teleop.analysis.models.peak import Reals, highest
+from teleop.analysis.models.sampled import Impedance, Needed
 from teleop.analysis.passivity.surroundings import linear_parts
 from teleop.errors import Refused
 from teleop.law.analysis_offers import coupling_of
 from teleop.scene.scene import Scene
 from teleop.stages.device import Device
+from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.terminal.table import si
-
-if TYPE_CHECKING:
-    from teleop.analysis.models.coupling import Lack
-    from teleop.analysis.models.peak import Reals
-    from teleop.analysis.models.sampled import Impedance, Needed
 
 
 class Shunt(NamedTuple):
@@ -97,8 +98,6 @@ def is_spring(E: Impedance, T: float) -> bool:
 
 def _friction_needed(scene: Scene) -> float | None:
     """(D/2)(K |h_K|_1 + B |h_B|_1)."""
-    from teleop.analysis.models.law_parts import check, law_parts, norms
-
     device: Any = scene.device_m
     if device is None or device.encoder is None or coupling_of(scene.law, scene.dt_ns / 1e9) is not None:
         return None
@@ -121,8 +120,6 @@ def _damped(scene: Scene, E: Impedance, needed: Needed, device: Device) -> tuple
         return enough, None
     if device.every > 1 or b == 0.0:
         return None, None
-    from teleop.analysis.models.law_parts import effective_damping
-
     T, d = scene.dt_ns / 1e9, device.delay
     share = highest(lambda th: sampled.damping_curve(E, T, th, d=d) / effective_damping(scene, th), d + 1)
     has, at = float(effective_damping(scene, np.array([share.th]))[0]), sampled.frequency(share, T)
@@ -244,8 +241,6 @@ def one_port(scene: Scene) -> RenderedImpedance:
     if scene.slave is not None:
         raise Refused("a scene with a slave has two ports; ask for its hybrid matrix "
                       "(teleop.analysis.passivity.two_port)")
-    from teleop.stages.device import Device
-
     T = scene.dt_ns / 1e9
     device = scene.device_m or Device()
     bare, _ = linear_parts(scene)
@@ -263,9 +258,6 @@ def one_port(scene: Scene) -> RenderedImpedance:
 
 
 def _controller(scene: Scene, T: float) -> Impedance:
-    from teleop.analysis.models.linear import NotLinear, is_linear
-    from teleop.analysis.models.one_port_loop import controller
-
     try:
         rendered = controller(scene)
     except NotLinear as refused:
@@ -282,8 +274,6 @@ def _controller(scene: Scene, T: float) -> Impedance:
 
 
 def _behind(scene: Scene, device: Any, T: float) -> Behind | None:
-    from teleop.stages.velocity.backward_difference import BackwardDifference
-
     offered = coupling_of(scene.law, T) if isinstance(device.velocity, BackwardDifference) else None
     if offered is None:
         return None

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isfinite
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from teleop.analysis.models.coupling import Lack, gap
+from teleop.analysis.models.law_parts import effective_damping
 from teleop.analysis.passivity.judge import SLOW, UNIT, Judged, TwoPorts, two_ports
-from teleop.analysis.passivity.one_port import RenderedImpedance, one_port
+from teleop.analysis.passivity.one_port import Behind, RenderedImpedance, one_port
+from teleop.analysis.passivity.surroundings import linear_parts
 from teleop.errors import Refused
 from teleop.law.analysis_offers import instead
 from teleop.scene.axes import labels_of, told_along, unit_on
+from teleop.scene.scene import Scene
 from teleop.terminal.answer import WithUnit, finite, scene_head, titled, with_units
 from teleop.terminal.options import typed_range
 from teleop.terminal.table import facts, si
-
-if TYPE_CHECKING:
-    from teleop.analysis.models.coupling import Lack
-    from teleop.analysis.passivity.one_port import Behind
-    from teleop.scene.scene import Scene
 
 SHOWN = 3  # bands in the table
 DAMPING = "N s/m"
@@ -52,8 +51,6 @@ class PassivityAnswer(NamedTuple):
 
 def ask(scene: Scene, *, seed: int = 0, span: str | None = None) -> PassivityAnswer:
     """Judge a scene; `span` is a range LOW:HIGH in Hz as it was typed. Raises `Refused`."""
-    from teleop.analysis.passivity.surroundings import linear_parts
-
     low, high = _span(span)
     if scene.slave is not None:
         two = two_ports(scene, low=low, high=high, seed=seed)
@@ -227,12 +224,8 @@ def curves(answer: PassivityAnswer) -> dict[str, Any]:
         f = np.geomspace(answer.low, answer.high, 2000)
         arrays = {"frequency": f, "needed_damping": answer.one.curve(f)}
         if answer.one.verdict.shunt is not None:
-            from teleop.analysis.models.law_parts import effective_damping
-
             arrays["damping_with_shunt"] = effective_damping(answer.scene, 2.0 * np.pi * answer.one.T * f)
         if answer.one.behind is not None:
-            from teleop.analysis.models.coupling import gap
-
             arrays["gap"] = gap(answer.one.behind.C, answer.one.behind.E, answer.one.T, f)
         return arrays
     assert answer.two is not None

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from teleop.analysis.models.by_axis import one_loop
 from teleop.analysis.models.linear import link_ticks, with_linear_law
+from teleop.analysis.models.peak import Points
 from teleop.errors import Refused
 from teleop.scene.playout import Fixed, Integral, Scaled, Zero, as_typed
 from teleop.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from teleop.analysis.models.peak import Points
 
 PRESS = 1e-3  # m inside a surface, where an environment with one is asked
 AROUND, SLOW = 0.5e-3, 1e-6  # m, m/s: where it must be linear

@@ -30,24 +30,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from teleop.analysis.models.linear import like, matrix
+from teleop.analysis.models.continuous import law_limit, refuse_ticks
+from teleop.analysis.models.linear import Matrix, like, matrix
+from teleop.analysis.models.peak import Points, Reals
 from teleop.analysis.passivity.surroundings import delays, linear_parts, ticks
 from teleop.errors import Refused
 from teleop.law import At, law_name, start_at
 from teleop.law.analysis_offers import linear_hint
+from teleop.physics.plant import MassDamper, linear
 from teleop.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.analysis.models.linear import Matrix
-    from teleop.analysis.models.peak import Points, Reals
-    from teleop.physics.plant import MassDamper
-
+from teleop.stages.observer import coefficients
 
 READINGS = 5  # of an end: x, v, f, f_held, dx
 
@@ -174,8 +171,6 @@ def continuous_two_port(scene: Scene, frequency: Reals) -> TwoPort:
 
     Without a link there is no delay. Refused if the law is not linear or has no continuous limit.
     """
-    from teleop.analysis.models.continuous import law_limit, refuse_ticks
-
     body = _need_slave(scene)
     scene, _ = linear_parts(scene)
     refuse_ticks(replace(scene, environment=None, electrical=None))
@@ -203,9 +198,6 @@ def sampled_two_port(scene: Scene, frequency: Reals, *, seed: int = 0) -> TwoPor
 
     Refused if the law is not linear, the link not a constant delay or a force renewed more slowly than the tick.
     """
-    from teleop.physics.plant import linear
-    from teleop.stages.observer import coefficients
-
     body = _need_slave(scene)
     scene, _ = linear_parts(scene)
     dt = scene.dt_ns / 1e9

@@ -6,18 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from teleop.physics.plant import Plant
+from teleop.physics.sdirk import Core, resistance_force
+from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
 from teleop.simulation.integrators import relaxed
 from teleop.simulation.integrators.methods import Touch
 from teleop.simulation.integrators.parts import core_of, rebuilt, relaxing_branch, slave_of
 from teleop.simulation.integrators.stepped import touch_of
-
-if TYPE_CHECKING:
-    from teleop.physics.sdirk import Core
-    from teleop.scene.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,8 +71,6 @@ def outsider_bodies(scene: Scene, solver: str, rtol: float) -> Bodies:
 
 def _resisted(core: Core) -> Rate:
     """The rates of depth and speed of a body without friction in what resists it."""
-    from teleop.physics.sdirk import resistance_force
-
     m, b = core[1], core[2]
 
     def rate(_: float, y: Any, f: float) -> tuple[float, float]:

@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite, log10
-from typing import TYPE_CHECKING, Any
+from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -29,18 +30,15 @@ from teleop.analysis.precision.reference.deviation import (
 from teleop.analysis.precision.reference.truth import Truth, truth_of
 from teleop.errors import Refused
 from teleop.physics.plant import move_free, move_gripped
+from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.integrators.nonlinear import goes
 from teleop.simulation.integrators.parts import has_closed_form, is_carried, slave_of, whole_plants
 from teleop.simulation.integrators.stepped import method_bodies
 from teleop.simulation.metrics import tracking
+from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
-    from teleop.simulation.result import Result
-
 
 Clock = Callable[[], int]
 Move = Callable[..., tuple[Any, ...]]
@@ -259,8 +257,6 @@ def _entry(c: Contender, got: Result, want: Mapping[str, Any], unfelt: int) -> E
 
 
 def _timed(entry: Entry, times: list[float]) -> Entry:
-    from statistics import median
-
     return replace(entry, ns_per_tick=median(times), runs=len(times))
 
 

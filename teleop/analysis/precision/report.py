@@ -7,13 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from math import isfinite, isnan
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from teleop.analysis.models.by_axis import along
 from teleop.analysis.precision.contenders import TOLERANCES, there
-from teleop.analysis.precision.measure import EULER, FASTER, SUBSTEPS, measure
+from teleop.analysis.precision.measure import EULER, FASTER, SUBSTEPS, Entry, Precision, measure
 from teleop.analysis.precision.reference.deviation import SERIES
 from teleop.errors import number_of
 from teleop.scene.axes import labels_of, told_along, unit_on
@@ -47,11 +48,7 @@ from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts, si
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
-
-    from teleop.analysis.precision.measure import Entry, Precision
 
 HEAD = ("method/sub-steps", "per tick", "x_s max", "x_s rms", "x_s end", "f_env max", "f_env rms", "peak", "")
 LENGTHS = {"error_estimate_max", "error_estimate_sum", "tolerance"}  # among the estimates of an end

@@ -17,25 +17,27 @@ This is one experiment about one place: a nonlinear loop may answer otherwise to
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from math import ceil, floor, inf
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from teleop.analysis.models.by_axis import own_parts
+from teleop.analysis.models.by_axis import alike, couples, own_parts
+from teleop.analysis.models.linear import about_rest, linear_scene, refuse_nonlinear_parts, with_linear_law
+from teleop.analysis.models.loop import sampled_loop
+from teleop.analysis.models.one_port_loop import margins, settles
 from teleop.analysis.models.rest import FreeMotion, HeldGrip, settled
+from teleop.analysis.models.roots import Mode, dominant
 from teleop.errors import Refused, number
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import WINDOWS
-
-if TYPE_CHECKING:
-    from teleop.analysis.models.roots import Mode
-    from teleop.simulation.result import Result
-
+from teleop.simulation.result import Result
+from teleop.simulation.virtual import run
 
 PLACES = 33  # of a range that are tried before it is halved
 HALVED = 5  # times: a step of 1.25 to 1.007
@@ -118,11 +120,7 @@ def stability(scene: Scene, *, seed: int = 0) -> Stability:
     Axes that the law does not couple are judged one by one, those that are alike once: the scene is stable if each of
     them is, and its margins are those of the axis that has least.
     """
-    from teleop.analysis.models.by_axis import alike, couples
-    from teleop.analysis.models.linear import about_rest, linear_scene, refuse_nonlinear_parts, with_linear_law
-    from teleop.analysis.models.loop import sampled_loop
     from teleop.analysis.models.margins import critical_round_trip, gain_margin, integrators
-    from teleop.analysis.models.roots import dominant
 
     if scene.axes > 1 and not couples(scene):
         refuse_nonlinear_parts(about_rest(with_linear_law(scene)))  # of all axes at once
@@ -157,8 +155,6 @@ def _of_axes(axes: list[AxisStability]) -> Stability:
 
 def _one_port(scene: Scene) -> Stability:
     """The same of a scene without a slave: the loop in contact, its delay that of the computation."""
-    from teleop.analysis.models.one_port_loop import margins
-
     margin = margins(scene)
     return Stability(
         scene=scene.name, unstable=margin.unstable, integrators=margin.integrators,
@@ -169,17 +165,10 @@ def _one_port(scene: Scene) -> Stability:
 
 def is_stable(scene: Scene, *, seed: int = 0) -> bool:
     """The verdict alone, from the root count: quicker than `stability`."""
-    from teleop.analysis.models.by_axis import alike, couples
-
     if scene.axes > 1 and not couples(scene):
         return all(is_stable(single, seed=seed) for single, _ in alike(scene))
     if scene.slave is None:
-        from teleop.analysis.models.one_port_loop import settles
-
         return settles(scene)
-    from teleop.analysis.models.linear import linear_scene
-    from teleop.analysis.models.loop import sampled_loop
-
     linear = linear_scene(scene, seed=seed)
     return not sampled_loop(linear).outside(linear.round_trip)
 
@@ -306,8 +295,6 @@ def _place(values: list[float], near: float | None) -> float:
     """The index at which `near` lies among the values."""
     if near is None:
         return 0.0
-    from bisect import bisect
-
     return bisect(values, near) - 0.5
 
 
@@ -336,8 +323,6 @@ class Staying:
 
 def swing(scene: Scene, *, seed: int = 0) -> FreeMotion:
     """Run `scene` and say whether it comes to rest, keeps swinging, or does not stay bounded."""
-    from teleop.simulation.virtual import run
-
     first = run(scene, seed=seed)
     if first.status == "diverged":
         return FreeMotion("unstable", first.sentence, None, None, False)

@@ -6,11 +6,13 @@ from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from functools import partial
 from math import ceil, log10, pi
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from teleop.analysis.stability.assess import Stability
+from teleop.analysis.stability.picture import MarginCurves, OpenLoop, Picture, curves, numbers, picture, sweep
 from teleop.analysis.stability.report import StabilityAnswer, ask, own_value, summary, table
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
@@ -37,11 +39,7 @@ from teleop.terminal.progress import shown_for
 from teleop.terminal.table import si
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
-
-    from teleop.analysis.stability.picture import MarginCurves, OpenLoop, Picture
 
 NEAREST = 40  # roots that the s-plane is scaled to
 MOST_TURNS = 30  # of the Nyquist plot that are still told apart
@@ -305,8 +303,6 @@ def _answer(args: Namespace, judged: StabilityAnswer, drawn: Mapping[str, Any] |
 
 def _with_plots(args: Namespace, judged: StabilityAnswer) -> Answer:
     """The answer with its plots and the numbers behind them."""
-    from teleop.analysis.stability.picture import curves, numbers, picture, sweep
-
     swept = None
     if judged.edge is not None:
         knobs, knob, values = knobs_from(args), judged.edge.knob, judged.places

@@ -9,22 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from teleop.analysis.models.by_axis import alike, couples
+from teleop.analysis.models.linear import LinearScene, linear_scene
 from teleop.analysis.models.loop import gains, in_order, indent, sampled_loop
+from teleop.analysis.models.one_port_loop import cut_open, gain_and_mode, one_port
+from teleop.analysis.models.peak import Points, Reals
 from teleop.analysis.models.roots import MOST_STATES, Roots, dominant, greatest, states
+from teleop.scene.scene import Scene
 from teleop.terminal.answer import WithUnit
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.analysis.models.linear import LinearScene
-    from teleop.scene.scene import Scene
-
-    Reals = NDArray[np.float64]
-    Points = NDArray[np.complex128]
 
 DRAWN = 200  # roots of a loop with more states than a dense matrix has
 SLOWEST = 0.01  # Hz
@@ -64,8 +60,6 @@ def picture(scene: Scene, *, unstable: bool, gain_margin: float | None, seed: in
     """The numbers behind the plot of a scene of that verdict and gain margin. Refused if it is not linear."""
     linear = linear_loop(scene, seed)
     if scene.slave is None and (linear is None or states(linear) <= MOST_STATES):
-        from teleop.analysis.models.one_port_loop import one_port
-
         whole = one_port(scene)
         z = whole.roots()
         roots, period = Roots(z[np.argsort(-np.abs(z))], len(z), True), whole.dt * len(whole.ticks)
@@ -78,11 +72,7 @@ def picture(scene: Scene, *, unstable: bool, gain_margin: float | None, seed: in
 def linear_loop(scene: Scene, seed: int) -> LinearScene | None:
     """The scene as two ends and the delay between them; None for a loop that cannot be cut so."""
     if scene.slave is None:
-        from teleop.analysis.models.one_port_loop import cut_open
-
         return cut_open(scene)
-    from teleop.analysis.models.linear import linear_scene
-
     return linear_scene(scene, seed=seed)
 
 
@@ -136,8 +126,6 @@ def _margins(scene: Scene, seed: int) -> tuple[float | None, float | None, float
 
     Of a scene that is unstable on some axes the gain margin is that of those, as in `Stability`.
     """
-    from teleop.analysis.models.by_axis import alike, couples
-
     if scene.axes > 1 and not couples(scene):
         every = [_margins(single, seed) for single, _ in alike(scene)]
         shaky = [each for each in every if each[0] is not None and each[0] > 0.0] or every
@@ -146,8 +134,6 @@ def _margins(scene: Scene, seed: int) -> tuple[float | None, float | None, float
                 None if len(shaky) < len(every) else min((c for _, _, c in every if c is not None), default=None))
     linear = linear_loop(scene, seed)
     if scene.slave is None:
-        from teleop.analysis.models.one_port_loop import gain_and_mode
-
         margin = gain_and_mode(scene, linear)
         mode, gain, unstable = margin.mode, margin.gain_margin, margin.unstable
     else:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from itertools import pairwise
 from math import floor, log10
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from teleop.analysis.models.by_axis import coupling_law
+from teleop.analysis.models.continuous import Continuous
+from teleop.analysis.models.continuous import continuous as without_clock
+from teleop.analysis.models.rest import FreeMotion
 from teleop.analysis.stability.assess import (
     HALVED,
     PLACES,
@@ -19,19 +23,21 @@ from teleop.analysis.stability.assess import (
     places_of,
     rests,
     stability,
+    swing,
 )
-from teleop.errors import Refused, enumerated, number_of, plural
+from teleop.errors import Refused, enumerated, nearest, number_of, plural
 from teleop.law.analysis_offers import instead
 from teleop.scene.axes import labels_of
+from teleop.scene.catalogue import units_of
+from teleop.scene.knobs import knobs_of
+from teleop.scene.library import scene_function
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
+from teleop.simulation.rest import STEPS
 from teleop.terminal.answer import WithUnit, scene_head, titled, with_units
 from teleop.terminal.options import typed_number, typed_range
+from teleop.terminal.progress import Show
 from teleop.terminal.table import columns, facts, si
-
-if TYPE_CHECKING:
-    from teleop.analysis.models.continuous import Continuous
-    from teleop.analysis.models.rest import FreeMotion
-    from teleop.scene.scene import Scene
-    from teleop.terminal.progress import Show
 
 PLACES_IN_TIME = 21  # of a range: each is a few runs
 HALVINGS = 20  # of a range that is tried at `PLACES` values, or about so many
@@ -101,8 +107,6 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     `show` is told how much of the search for a critical value is done, 0 to 1. An interrupt of that search ends it, and
     the answer has what it knows so far; one before it is raised as KeyboardInterrupt.
     """
-    from teleop.scene.loading import load_scene
-
     if knob is None and (span is not None or tol is not None):
         raise Refused("--range and --tol are for a critical value; name its knob with --critical KNOB")
     if in_time and continuous:
@@ -111,25 +115,13 @@ def ask(name: str, knobs: Mapping[str, object], *, seed: int = 0, in_time: bool 
     scene_value = None if knob is None else own_value(scene, knob)
     low, high = (0.0, 0.0) if knob is None or scene_value is None else _span(knob, scene_value, span)
     closeness = None if tol is None else typed_number("--tol", tol, example="0.01", above=0.0)
-    assessment: Stability | FreeMotion
-    limit = None
-    if in_time:
-        from teleop.analysis.stability.assess import swing
-
-        assessment = swing(scene, seed=seed)
-    else:
-        assessment = stability(scene, seed=seed)
-    if continuous:
-        from teleop.analysis.models.continuous import continuous as without_clock
-
-        limit = without_clock(scene)
+    assessment = swing(scene, seed=seed) if in_time else stability(scene, seed=seed)
+    limit = without_clock(scene) if continuous else None
     if knob is None or scene_value is None:
         return StabilityAnswer(scene, assessment, limit, None, seed=seed, in_time=in_time)
 
     def make(value: float) -> Scene:
         return load_scene(name, **{**knobs, knob: value})
-
-    from teleop.scene.catalogue import units_of
 
     unit = units_of(name, [knob], type(scene.laws[0])).get(knob)
     search = _KnobSearch(knob, scene_value, f" {unit}" if unit else "", in_time, show)
@@ -187,11 +179,6 @@ def verdict_word(stable: bool, in_time: bool) -> str:
 
 def _whole(name: str, knob: str) -> bool:
     """True if the scene takes only whole numbers for this knob. A law's own knobs take any numbers."""
-    from typing import get_args
-
-    from teleop.scene.knobs import knobs_of
-    from teleop.scene.library import scene_function
-
     declared = knobs_of(scene_function(name)).get(knob)
     kinds = () if declared is None else get_args(declared.kind) or (declared.kind,)
     return int in kinds and float not in kinds
@@ -199,10 +186,6 @@ def _whole(name: str, knob: str) -> bool:
 
 def own_value(scene: Scene, knob: str) -> float:
     """The value that a knob (`k_e`, or `law.K` of the law) has in the scene. Refused if it is no number."""
-    from dataclasses import fields
-
-    from teleop.errors import nearest
-
     every: Any = scene.laws
     gains = {f"law.{field.name}": tuple(getattr(law, field.name) for law in every) for field in fields(every[0])}
     gains = {key: each[0] if len(set(each)) == 1 else each for key, each in gains.items()}
@@ -356,8 +339,6 @@ def _without_clock(limit: Continuous) -> str:
 
 def _steps(scene: Scene) -> str:
     """Name the swing that counts as rest behind an encoder."""
-    from teleop.simulation.rest import STEPS
-
     seen = any(end is not None and end.encoder is not None for end in (scene.device_m, scene.device_s))
     return f", to {STEPS:g} steps of the encoder" if seen else ""
 

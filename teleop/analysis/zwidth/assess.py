@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from teleop.analysis.models.law_parts import check, left_out, scales, with_gains
 from teleop.analysis.models.rest import HeldGrip, settled
@@ -31,13 +31,14 @@ from teleop.analysis.zwidth.plane import ALL, Boundary, LoopFamily, Span, bounda
 from teleop.errors import Refused
 from teleop.law import find_law
 from teleop.law.analysis_offers import coupling_of, instead
+from teleop.physics.relaxing import ElectricalDamping
+from teleop.scene.scene import Scene
 from teleop.stages.device import Device
 from teleop.stages.encoder import Encoder
+from teleop.stages.passivity_controller import PassivityController
+from teleop.stages.velocity.backward_difference import BackwardDifference
+from teleop.stages.velocity.low_pass import LowPass
 from teleop.terminal.options import typed_range
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
-
 
 Show = Callable[[float, str], None]
 THEORY = 0.15  # of the work
@@ -274,9 +275,6 @@ def _resolution(scene: Scene) -> Iterator[Lever]:
 
 
 def _filter(scene: Scene) -> Lever:
-    from teleop.stages.velocity.backward_difference import BackwardDifference
-    from teleop.stages.velocity.low_pass import LowPass
-
     device = scene.device_m or Device()
     if isinstance(device.velocity, BackwardDifference):
         return Lever("velocity filter", f"backward difference through a low-pass of {CUTOFF:g} Hz",
@@ -302,16 +300,12 @@ def _coupling(scene: Scene) -> Lever:
 def _controller(scene: Scene) -> Lever:
     if scene.passivity is not None:
         return Lever("no controller", "without the passivity controller", replace(scene, passivity=None))
-    from teleop.stages.passivity_controller import PassivityController
-
     cap = scene.master.damping or 0.02 * scene.master.mass / scene.dt
     return Lever("passivity controller", f"adds at most {cap:.3g} N s/m of damping while the port has made energy",
                  replace(scene, passivity=PassivityController(cap=cap)))
 
 
 def _electrical(scene: Scene) -> Lever:
-    from teleop.physics.relaxing import ElectricalDamping
-
     name = "electrical damping"
     if scene.electrical is not None:
         return Lever("no shunt", "without electrical damping", replace(scene, electrical=None))

@@ -18,21 +18,15 @@ is the mean gap of the curves in decades.
 from __future__ import annotations
 
 from math import log10, pi
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from teleop.analysis.models.law_parts import law_parts
+from teleop.analysis.models.peak import Points, Reals
 from teleop.analysis.zwidth.passive import Point, Region
 from teleop.law.analysis_offers import coupling_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.scene.scene import Scene
-
-    Reals = NDArray[np.float64]
-    Points = NDArray[np.complex128]
+from teleop.scene.scene import Scene
 
 BAND = (0.1, 100.0)  # Hz
 PLACES = 601  # 200 to a decade, 1 Hz among them

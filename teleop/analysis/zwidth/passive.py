@@ -40,24 +40,17 @@ Behind a virtual coupling the tool may meet any passive environment; the polygon
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from teleop.analysis.models import coupling, sampled
 from teleop.analysis.models.law_parts import effective_damping, law_parts, norms, scales, with_gains
-from teleop.analysis.models.peak import grid, highest
+from teleop.analysis.models.peak import Points, Reals, grid, highest
 from teleop.errors import Refused
-from teleop.law.analysis_offers import coupling_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.law.analysis_offers import Coupling
-    from teleop.scene.scene import Scene
-    Reals = NDArray[np.float64]
-    Points = NDArray[np.complex128]
-
+from teleop.law.analysis_offers import Coupling, coupling_of
+from teleop.scene.scene import Scene
+from teleop.stages.velocity.backward_difference import BackwardDifference
 
 Point = tuple[float, float]  # (K, B)
 Gauge = Callable[[float, float], tuple[float, Point]]  # how far out a point is, 1 on the boundary, and the gradient
@@ -247,8 +240,6 @@ def _needed(scene: Scene, T: float, d: int, every: int, places: Reals) -> Curve:
 
 def _coupled(scene: Scene, offered: Coupling, d: int, every: int) -> Curve:
     """The same for the coupling that the law offers, in front of the worst passive environment."""
-    from teleop.stages.velocity.backward_difference import BackwardDifference
-
     velocity = scene.device_m and scene.device_m.velocity
     if every > 1 or not isinstance(velocity, BackwardDifference) or not (offered.series and offered.keeps):
         raise Refused("behind a coupling the condition is known for a force renewed at every tick, the backward "

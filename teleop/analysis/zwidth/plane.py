@@ -33,23 +33,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.analysis.models.law_parts import linear_part, scales, with_gains
 from teleop.analysis.models.one_port_loop import AT_REST, one_port
-from teleop.analysis.models.peak import grid
+from teleop.analysis.models.peak import Points, Reals, grid
+from teleop.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.scene.scene import Scene
-    Reals = NDArray[np.float64]
-    Maps = tuple[Reals, Reals, Reals]
-    Points = NDArray[np.complex128]
-
-
+Maps = tuple[Reals, Reals, Reals]
 ROWS = 41  # values of B
 NET = 64  # values of K for each before it is halved, HALVED times
 MANY = 12  # ticks of delay: beyond, the edge is found where a root first meets the circle

@@ -9,13 +9,14 @@ from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from functools import partial
 from math import isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from teleop.analysis.models.by_axis import along
-from teleop.analysis.zwidth.assess import assess, span
-from teleop.analysis.zwidth.plane import passive_line, published_rule
+from teleop.analysis.zwidth.assess import LeverRow, ZWidth, assess, span
+from teleop.analysis.zwidth.plane import Boundary, passive_line, published_rule
 from teleop.scene.axes import labels_of, unit_on
 from teleop.scene.loading import load_scene
 from teleop.terminal.answer import Answer, Task, WithUnit, command_of, finite, scene_head, titled, with_units
@@ -39,13 +40,8 @@ from teleop.terminal.progress import shown_for
 from teleop.terminal.table import columns, facts
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from teleop.analysis.zwidth.assess import LeverRow, ZWidth
-    from teleop.analysis.zwidth.plane import Boundary
 
 
 class LeverColumn(NamedTuple):

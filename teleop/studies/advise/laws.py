@@ -33,6 +33,7 @@ from teleop.sweeps.kernels.functions import digest
 from teleop.sweeps.runner import cores, plan_sweep
 from teleop.sweeps.store import Store
 from teleop.terminal.table import si
+from teleop.version import __version__
 
 MARGIN = 2.0  # by which the wall may be stiffer in the search
 SETTLED = 20.0  # s after which the time that is left is shown
@@ -320,8 +321,6 @@ def search_law(job: LawJob, send: Callable[[int | list[Scored]], None]) -> LawAd
 
 def definition(jobs: Sequence[LawJob]) -> dict[str, Any]:
     """Definition by which the folder of an advice is known again."""
-    from teleop.version import __version__
-
     first, sources = jobs[0].search, []
     for job, *_ in jobs:
         try:

@@ -20,7 +20,7 @@ from itertools import groupby
 from math import isnan
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused, enumerated, number_of
 from teleop.law.offers import seed_energy
@@ -39,8 +39,11 @@ from teleop.storage.strict_json import write_document
 from teleop.studies.baseline import ContactForce, baseline_contact, contact_force
 from teleop.studies.compare.cases import BUILT_IN, Case, Comparison, cases_of, path_text, read_comparison
 from teleop.studies.compare.figures import UNSETTLED, document, judge_laws, rankings, text
+from teleop.studies.compare.plot import draw
 from teleop.studies.margin import margin
 from teleop.studies.parallel import in_parallel
+from teleop.studies.tune.search import LawSearch, SearchJob
+from teleop.studies.tune.strategy import NothingToTune
 from teleop.sweeps.grid import json_value, split_list
 from teleop.sweeps.runner import cores
 from teleop.sweeps.store import DEFINITION, Store
@@ -49,9 +52,7 @@ from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.plotting import asked_formats
 from teleop.terminal.progress import RowsProgress, shown_for
 from teleop.terminal.table import duration
-
-if TYPE_CHECKING:
-    from teleop.studies.tune.search import SearchJob
+from teleop.version import __version__
 
 WIDE = 120  # columns of what is no terminal
 CSV, SUMMARY = "rows.csv", "summary.json"
@@ -120,8 +121,6 @@ def command(args: Namespace) -> Answer:
     answer = Answer(text(verdicts, ranked, cases, heading, notes, _width()), summary,
                     INTERRUPTED if interrupted else DONE)
     if formats:
-        from teleop.studies.compare.plot import draw
-
         answer = answer.with_plots(folder, draw(rows, verdicts, comparison, folder, formats))
     if interrupted:
         answer = answer._replace(text=f"{answer.text}\ninterrupted: the same command goes on from here")
@@ -183,8 +182,6 @@ def number_rows(cases: Sequence[Case]) -> Iterator[tuple[int, Case, int]]:
 
 def definition(cases: Sequence[Case]) -> dict[str, Any]:
     """Definition by which the folder of a comparison is known again."""
-    from teleop.version import __version__
-
     rows = [[case.environment, case.link, case.law, case.command(seed), case.source] for case in cases
             for seed in case.seeds]
     return {"scene": "compare", "fixed": {}, "metrics": [], "version": __version__,
@@ -289,8 +286,6 @@ class TunedKnobs(NamedTuple):
 
 def tune_all(comparison: Comparison, budget: int, *, workers: int, show: Show) -> dict[tuple[str, str], TunedKnobs]:
     """Tune each law over each link, by their names. Raises `Refused` for a budget that takes no search."""
-    from teleop.studies.tune.search import SearchJob
-
     where = next(each for each in comparison.environments if each.name == comparison.tune)
     scene = scene_function(where.text)
     jobs = [((law.name, link.name), SearchJob(
@@ -307,9 +302,6 @@ def tune_all(comparison: Comparison, budget: int, *, workers: int, show: Show) -
 
 def run_search(keyed: tuple[tuple[str, str], SearchJob]) -> tuple[tuple[str, str], TunedKnobs]:
     """Run the search of one law over one link, by their names."""
-    from teleop.studies.tune.search import LawSearch
-    from teleop.studies.tune.strategy import NothingToTune
-
     key, job = keyed
     try:
         tuned = LawSearch(job, workers=1).run()

@@ -12,8 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import inf, isfinite, isnan
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.studies.compare.cases import Comparison
 from teleop.studies.compare.figures import (
     BAD,
     FREE,
@@ -46,12 +48,8 @@ from teleop.terminal.plotting import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from teleop.studies.compare.cases import Comparison
 
 LAW_HEIGHT = 0.27  # inches a law
 ACROSS, WIDEST = 3, 8.4  # blocks of the status map side by side: at most, and inches

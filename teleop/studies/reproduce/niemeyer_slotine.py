@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from teleop.analysis.passivity.two_port import continuous_two_port
 from teleop.law import At, find_law
 from teleop.physics.plant import MassDamper
 from teleop.scene.loading import load_scene
@@ -21,8 +22,6 @@ SLOW = 0.05  # Hz, far below the resonance
 
 def reflected_impedance(frequency: list[float], touched: float) -> Any:
     """Impedance (N s/m) at the master of a slave that touches this one (N s/m), without the master itself."""
-    from teleop.analysis.passivity.two_port import continuous_two_port
-
     scene = load_scene("free_motion", law=find_law("wave")(b=b, K=STIFF, B=0.0), link=f"delay({T})", observer=None)
     scene = replace(scene, master=HANDLE, slave=MassDamper(mass=LIGHT), hand=None)
     s = 2j * pi * np.array(frequency)

@@ -18,10 +18,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
 
 REPRODUCED, DIFFERS, FITTED, PUBLISHED = "reproduced", "differs", "fitted", "published"
 ROUNDING = 1e-9  # of the tolerance: 0.5 of the last digit is within half of it
@@ -100,15 +100,11 @@ def last_digit(printed: str) -> float:
 
 def wall(K: float, B: float = 0.0, **knobs: object) -> Scene:
     """A handle at a rendered wall of stiffness K (N/m) and damping B (N s/m), sampled at 1 kHz: `virtual_wall`."""
-    from teleop.scene.loading import load_scene
-
     return load_scene("virtual_wall", **{"law.K": K, "law.B": B, **knobs})
 
 
 def with_hand(scene: Scene, *, mass: float, k: float, d: float, at: float, start: float) -> Scene:
     """The scene with a hand that stands still at `at` (m) and a handle that starts at `start` (m), at rest."""
-    from teleop.scene.loading import load_scene
-
     still: Any = load_scene("encoder_wall").hand
     hand = replace(still, mass=mass, k=k, d=d, reference=replace(still.reference, at=at))
     return replace(scene, hand=hand, start_m=start)

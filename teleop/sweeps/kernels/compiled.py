@@ -16,11 +16,13 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from importlib import import_module
-from importlib.util import cache_from_source, module_from_spec, spec_from_file_location
+from importlib.util import cache_from_source, find_spec, module_from_spec, spec_from_file_location
 from inspect import signature
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
+
+import numpy
 
 from teleop.errors import Refused
 from teleop.scene.scene import Scene
@@ -166,7 +168,6 @@ def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: Compil
 def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: CompiledEngine) -> tuple[str, str]:
     """The module of a kernel, and the name that it goes by."""
     import numba
-    import numpy
 
     lines: list[str] = []
     pieces: list[Any] = []
@@ -340,8 +341,6 @@ def _in_memory(text: str, full: str) -> ModuleType:
 
 def need_numba(engine: str) -> None:
     """Refuse an engine that is not installed."""
-    from importlib.util import find_spec
-
     if find_spec("numba") is None:
         raise Refused(f"engine {engine} needs numba: pip install 'bilateral-teleop[batch]', or take --engine plain")
 

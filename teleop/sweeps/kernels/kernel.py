@@ -14,7 +14,7 @@ from functools import lru_cache
 from itertools import count
 from math import isfinite
 from threading import Lock
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from teleop.simulation.bodies import Bodies, reference_samples
 from teleop.simulation.felt import AT_END, AT_REST, OF_SLAVE, Frame, frame_of, resting
 from teleop.simulation.felt import figures as summed
 from teleop.simulation.metrics import given_out
-from teleop.simulation.plan import link_plans, median_age
+from teleop.simulation.plan import Plan, link_plans, median_age
 from teleop.simulation.rest import Still
 from teleop.simulation.source import Lines, functions, lines
 from teleop.simulation.structure import numbers_of, record, structure_of
@@ -43,8 +43,6 @@ from teleop.sweeps.kernels.figures import (
     magnitude_of,
 )
 
-if TYPE_CHECKING:
-    from teleop.simulation.plan import Plan
 
 class NotCompiled(Exception):
     """Why a structure of scene has no compiled kernel."""

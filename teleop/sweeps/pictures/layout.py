@@ -9,16 +9,15 @@ from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.errors import Refused
 from teleop.simulation.metrics import UNITS
+from teleop.sweeps.table import Table
 from teleop.terminal.plotting import BLACK, BLUE, BROWN, GREEN, ORANGE, PALE, PINK, PURPLE, RED, SKY, YELLOW, literal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
-
-    from teleop.sweeps.table import Table
 
 _WAYS = 1_000_000  # to choose the values that are shown
 PANELS = 6  # at most, in one picture

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.errors import Refused, nearest, number_of
 from teleop.sweeps.pictures.layout import (
@@ -29,6 +30,7 @@ from teleop.sweeps.pictures.layout import (
     varying,
     with_unit,
 )
+from teleop.sweeps.table import Table
 from teleop.terminal.plotting import (
     BLACK,
     GREY,
@@ -47,9 +49,6 @@ from teleop.terminal.plotting import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from teleop.sweeps.table import Table
 
 
 EDGE = "#0B0B0B"  # on cells: dark, also where a page makes black light

@@ -5,24 +5,28 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from teleop.errors import Refused, plural
+from teleop.scene.axes import labels_of
 from teleop.scene.catalogue import units_of
+from teleop.scene.library import known_scenes
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import Scene
+from teleop.simulation.metrics import UNITS
 from teleop.simulation.result import has_record
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
 from teleop.storage.folder import is_being_written
 from teleop.storage.strict_json import Misshapen, parse, write_document
+from teleop.sweeps.pictures.picture import draw
+from teleop.sweeps.store import Store
+from teleop.sweeps.table import Table
 from teleop.terminal.answer import Answer
 from teleop.terminal.plotting import PNG
 from teleop.terminal.table import facts, grouped
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
-    from teleop.sweeps.table import Table
 
 SUMMARY = "summary.json"
 OF_A_CALL = ("command", "engine", "why", "workers", "engines", "ran", "seconds", "interrupted", "cluster", "versions")
@@ -110,8 +114,6 @@ def told_of(folder: Path, shown: int | None = None) -> tuple[dict[str, Any], str
 
     `shown`: the rows that the text has; left out, the first few.
     """
-    from teleop.sweeps.store import Store
-
     store = Store.look(folder)
     table = store.table()
     content = {**summary_of(folder), **store.definition, "done": len(table), "counts": table.counts(),
@@ -134,8 +136,6 @@ def picture(table: Table, folder: Path, content: Mapping[str, Any], request: Pic
 
     `trust`: the scene's own file may be run, for the units of its knobs.
     """
-    from teleop.sweeps.pictures.picture import draw
-
     name = str(content["scene"])
     units = knob_units(content, table, trust=trust)
     return draw(table, folder / "sweep", request.kind, metric=request.metric, title=Path(name).stem,
@@ -158,11 +158,6 @@ def words_of(content: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, 
 def knob_units(content: Mapping[str, Any], table: Table, *, trust: bool) -> dict[str, str]:
     """The units of knobs and metrics of a sweep; of the scene of a user's own, whose file is run for it, only with
     `trust`. A metric over axes in m and in rad has none."""
-    from teleop.scene.axes import labels_of
-    from teleop.scene.library import known_scenes
-    from teleop.scene.loading import load_scene
-    from teleop.simulation.metrics import UNITS
-
     name = str(content["scene"])
     if not trust and name not in known_scenes():
         return {}

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from teleop.scene.scene import Scene
+from teleop.simulation.integrators.parts import slave_of
 from teleop.simulation.metrics import magnitude
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from teleop.scene.scene import Scene
-
 
 SERIES = {"x_s": "m", "x_m": "m", "f_env": "N"}
 NEAR = 10  # ticks: contacts nearer than this are one, and another run's may be off by as much
@@ -64,8 +61,6 @@ def touching(scene: Scene, trace: Mapping[str, Any]) -> NDArray[np.bool_]:
     environment. Runge-Kutta methods keep it exactly, being linear in the state; the split ones to `b dt dv`.
     An impulse that friction may have made is not counted.
     """
-    from teleop.simulation.integrators.parts import slave_of
-
     body = slave_of(scene)
     m, b, dt = body.mass, body.damping, scene.dt_ns / 1e9
     touching: NDArray[np.bool_] = magnitude(trace["f_env"]) > 0.0

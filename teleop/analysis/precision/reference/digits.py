@@ -15,27 +15,23 @@ against it is what the integration of the bodies does, and nothing else.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from decimal import MAX_EMAX, MIN_EMIN, ROUND_HALF_EVEN, Context, Decimal, getcontext, localcontext
 from itertools import cycle
 from math import hypot, isfinite, nan, pi, sqrt
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from teleop.analysis.precision.reference.deviation import Steps
 from teleop.physics.plant import Plant, move_free, move_gripped
+from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
 from teleop.simulation.integrators.parts import is_carried, relaxing_branch, slave_of, stills
 from teleop.simulation.integrators.stepped import touch_of
 from teleop.simulation.metrics import magnitude
+from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from teleop.scene.scene import Scene
-    from teleop.simulation.result import Result
-
 
 DIGITS = 40
 MOST_CHANGES = 256  # of contact that are followed within a tick; what is left of the tick is in contact

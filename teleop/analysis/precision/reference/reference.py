@@ -20,18 +20,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from itertools import cycle
 from math import hypot, isfinite, nan, sqrt
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from teleop.analysis.precision.reference.deviation import Steps
 from teleop.physics.contact import advance
 from teleop.physics.plant import Plant
 from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, Core
+from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
 from teleop.simulation.integrators.parts import core_of, rebuilt
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
-
 
 TIGHT = {"DOP853": 3e-14, "Radau": 1e-13}  # rtol; less is rounding
 ROUNDING = 1e-14  # relative

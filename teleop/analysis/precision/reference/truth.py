@@ -14,19 +14,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from teleop.analysis.precision.contenders import there
 from teleop.analysis.precision.reference.deviation import Steps, errors
-from teleop.analysis.precision.reference.digits import DIGITS
+from teleop.analysis.precision.reference.digits import DIGITS, run_in_digits
+from teleop.analysis.precision.reference.reference import LONG, bodies_moved, reference_bodies
 from teleop.errors import Refused
+from teleop.scene.scene import Scene
 from teleop.simulation.integrators.parts import core_of, has_closed_form, stills
+from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
 from teleop.terminal.table import si
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
-    from teleop.simulation.result import Result
 
 PATIENCE = 90.0  # s that the reference may take unasked
 SAMPLES = 24  # ticks from which its time is foretold
@@ -101,8 +100,6 @@ Found = tuple["Result", str, str, Mapping[str, float], Mapping[str, Steps]]
 
 
 def _in_digits(scene: Scene, seed: int, ticks: int, show: Show) -> Found:
-    from teleop.analysis.precision.reference.digits import run_in_digits
-
     method = f"{DIGITS} digits"
     result, off, steps = run_in_digits(scene, seed, _progress(show, f"the reference in {method}", ticks * scene.axes))
     return result, method, (f"each body's equation of motion solved in {method} at every tick; its columns are rounded "
@@ -110,8 +107,6 @@ def _in_digits(scene: Scene, seed: int, ticks: int, show: Show) -> Found:
 
 
 def _integrated(scene: Scene, seed: int, clock: Callable[[], int], ticks: int, *, patient: bool, show: Show) -> Found:
-    from teleop.analysis.precision.reference.reference import LONG, reference_bodies
-
     seconds = _foretold(scene, seed, clock, ticks)
     if seconds["DOP853"] > PATIENCE and not patient:
         raise Refused(f"the reference of {ticks} ticks without a closed form would take about "
@@ -164,8 +159,6 @@ def _integrated_bodies(scene: Scene) -> int:
 def _foretold(scene: Scene, seed: int, clock: Callable[[], int], ticks: int) -> dict[str, float]:
     """Seconds that the run would take by each solver, from some steps of the stack's own run, evenly spaced."""
     import scipy.integrate  # noqa: F401 - not within the first step that is timed
-
-    from teleop.analysis.precision.reference.reference import LONG, bodies_moved
 
     every = max(1, ticks // SAMPLES) | 1  # odd, so that two bodies which take turns are both among them
     seconds = {}
