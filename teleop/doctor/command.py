@@ -17,9 +17,11 @@ from typing import Any, NamedTuple
 
 from teleop.errors import enumerated, number_of
 from teleop.protocol.guard import UNNAMED
+from teleop.scene.library import ROOT
+from teleop.sweeps.kernels.compiled import open_to_others
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import facts, si
-from teleop.version import DISTRIBUTION
+from teleop.version import DISTRIBUTION, __version__
 
 EXTRAS = {  # what to install for each
     "cryptography": "secure", "distributed": "cluster", "matplotlib": "plot", "mcap": "log",
@@ -65,8 +67,6 @@ def other_packages(folders: Iterable[str] | None = None) -> list[str]:
 
     `folders`: where Python looks; left out: `sys.path`.
     """
-    from teleop.scene.library import ROOT
-
     names = [name for name in dict.fromkeys(packages_distributions().get("teleop", ())) if name != DISTRIBUTION]
     for folder in dict.fromkeys(sys.path if folders is None else folders):
         package = Path(folder or ".") / "teleop"
@@ -96,9 +96,6 @@ def command(args: Namespace) -> Answer:
 
 def findings() -> dict[str, Any]:
     """Versions, extras, the kernels on disk, and what was measured and judged, as JSON can hold them."""
-    from teleop.sweeps.kernels.compiled import open_to_others
-    from teleop.version import __version__
-
     folder = kernels()
     files = kernel_files(folder)
     measured, policies = measure(), governors()
@@ -162,8 +159,6 @@ class Finding(NamedTuple):
 
 def measure() -> dict[str, Any]:
     """Measure this machine by the probe, in a process of its own; `error`, one line, if that did not come up."""
-    from teleop.scene.library import ROOT
-
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     try:
         done = subprocess.run([sys.executable, "-P", *PROBE], check=False, capture_output=True, text=True,

@@ -17,6 +17,7 @@ from teleop.storage.files import creating
 from teleop.terminal.answer import Answer
 from teleop.terminal.options import DONE, complain
 from teleop.terminal.table import facts, grouped
+from teleop.version import __version__
 
 EXAMPLE = "teleop export runs/hard_wall-1 --mcap hard_wall.mcap"
 
@@ -24,7 +25,6 @@ EXAMPLE = "teleop export runs/hard_wall-1 --mcap hard_wall.mcap"
 def export(args: Namespace) -> Answer:
     """Write a run that is over as an MCAP file, a CSV file, or both. Raises `Refused`; then neither is there."""
     from teleop.export.files import metadata_of, need_mcap, write_csv, write_mcap, write_metadata
-    from teleop.version import __version__
 
     if args.mcap is None and args.csv is None:
         raise Refused(f"export needs a file to write, --mcap FILE or --csv FILE; type for example {EXAMPLE}")

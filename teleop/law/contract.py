@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import is_dataclass
 from functools import lru_cache
+from inspect import getsourcefile, getsourcelines
 from math import inf, isfinite, isnan
 from numbers import Real
 from os import getcwd
@@ -464,8 +465,6 @@ def file_line(file: str, line: int) -> str:
 
 def _class_place(law: Any) -> str:
     """Place of a law's class, " (path:line)"; without its source, the place of its first method."""
-    from inspect import getsourcefile, getsourcelines
-
     try:
         return file_line(getsourcefile(type(law)) or "", getsourcelines(type(law))[1])
     except (OSError, TypeError):

@@ -41,6 +41,9 @@ from collections.abc import Mapping
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any, NamedTuple
 
+from teleop.kind import waves
+from teleop.law import messages, start_at
+
 LEDGERS = ("E_link", "E_port", "E_law")
 CONDITIONS = {
     "any link": "over every link, with waves played as zero in gaps or by their integral",
@@ -90,8 +93,6 @@ def seed_energy(law: Any, dt: float = 1e-3, axes: int = 1) -> float:
 
 def seeds(law: Any, dt: float, axes: int) -> tuple[float, float]:
     """The same of each end of a law that keeps energy, master and slave."""
-    from teleop.law import start_at
-
     still = start_at(0.0, 0.0, 0.0, dt)
 
     def seed(end: str) -> float:
@@ -122,9 +123,6 @@ def enough(value: float, *, least: bool) -> str:
 
 def _claims_broken(law: Any, facts: Facts) -> list[str]:
     """The conditions of claims that the link or its playout breaks."""
-    from teleop.kind import waves
-    from teleop.law import messages
-
     has_waves = all(map(waves, messages(law, facts.dt)))
     varies = facts.lossy or any(way is not None and way.greatest > way.least + 0.5 * facts.dt
                                 for way in (facts.fwd, facts.bwd))

@@ -9,6 +9,7 @@ installed.
 
 from __future__ import annotations
 
+import ast
 import sys
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -195,8 +196,6 @@ def _let_import_from(path: Path) -> None:
 
 def _imported(path: Path) -> set[str]:
     """Top-level modules that a file imports; none if the file is no Python."""
-    import ast
-
     try:
         tree = ast.parse(read_bytes(path))
     except (OSError, SyntaxError, ValueError, RecursionError):

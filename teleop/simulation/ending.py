@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 from teleop.errors import number_of, plural
+from teleop.law import is_built_in, law_name
 from teleop.law.contract import not_finite
 from teleop.scene.axes import labels_of, scales
+from teleop.scene.library import known_scenes, scene_function
 from teleop.scene.playout import Playout, as_typed
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.metrics import found_at_rest
 from teleop.simulation.plan import Plan
+from teleop.simulation.prepared import Prepared
 from teleop.simulation.rest import WINDOWS, pitch, places, swings, trend
-
-if TYPE_CHECKING:
-    from teleop.simulation.prepared import Prepared
 
 BEYOND = 2.0  # times the way that the hand's reference and the environment have
 OWN = 1e-3  # m or rad of swing besides
@@ -141,12 +142,9 @@ def scene_arguments(scene: Scene, *options: str) -> str:
     >>> scene_arguments(load_scene("hard_wall", law="direct", delay=0.1))
     'hard_wall --set law=direct --set delay=0.1'
     """
-    from dataclasses import fields
     from shlex import quote
 
-    from teleop.law import is_built_in, law_name
     from teleop.scene.knobs import knobs_of, read_law
-    from teleop.scene.library import known_scenes, scene_function
 
     if scene.name not in known_scenes():
         return " ".join([f"{scene.name}.py", *options]) + ", with its path and the --set of the run"
@@ -176,9 +174,6 @@ def _file(kind: type[Any]) -> str:
     file = getattr(sys.modules.get(kind.__module__), "__file__", None)
     return f"{file or kind.__module__}:{kind.__name__}"
 
-
-if TYPE_CHECKING:
-    from teleop.simulation.prepared import Prepared
 
 
 def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, trip: int

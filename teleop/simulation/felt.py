@@ -42,6 +42,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from teleop.scene.axes import scales
 from teleop.scene.scene import Scene
+from teleop.simulation.rest import risen
 from teleop.simulation.trace import blocks
 
 if TYPE_CHECKING:
@@ -300,8 +301,6 @@ def _free_sums(trace: Mapping[str, Any], axes: int, follows: NDArray[np.bool_]) 
 def turns_of(trace: Mapping[str, Any], window: int) -> dict[str, float]:
     """The sums of `turns` of a trace: see `BandCrossings` of `teleop.sweeps.kernels.sums`."""
     import numpy as np
-
-    from teleop.simulation.rest import risen
 
     values: dict[str, float] = {}
     x, v = (trace[name].reshape(len(trace["t"]), -1) for name in ("x_m", "v_m"))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from teleop.errors import NamedValues, Refused
+from teleop.law import law_name
 from teleop.scene.axes import AxisLabels, labels_in, labels_of
+from teleop.scene.library import own_file
 from teleop.scene.scene import Scene
 from teleop.simulation.metrics import UNITS, finite, worked_out
 from teleop.simulation.plan import Packets
@@ -18,6 +20,7 @@ from teleop.simulation.trace import blocks
 from teleop.storage.files import read_bytes, replacing
 from teleop.storage.folder import new_folder
 from teleop.storage.strict_json import Misshapen, json_value, parse, write_document
+from teleop.version import __version__
 
 if TYPE_CHECKING:
     from teleop.simulation.ending import Ending
@@ -29,8 +32,6 @@ LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
 def versions(*also: str) -> dict[str, str]:
     """The versions that a document says it was made by: of this package, Python, numpy, and the packages `also`."""
     import numpy
-
-    from teleop.version import __version__
 
     versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
     if also:
@@ -162,11 +163,6 @@ def parameters(scene: Scene) -> dict[str, object]:
     Of that file there are its path and the first 12 digits of its SHA-256. A number of the law that differs between the
     axes is a list with that of each.
     """
-    from dataclasses import fields, is_dataclass
-
-    from teleop.law import law_name
-    from teleop.scene.library import own_file
-
     plain: dict[str, object] = {}
     laws = scene.laws
     for key, value in {**scene.knobs, "law": scene.law}.items():

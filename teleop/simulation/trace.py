@@ -9,6 +9,7 @@ from math import nan
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from teleop.errors import NamedValues
+from teleop.simulation.bodies import master_coefficients
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.structure import SENSED
 
@@ -225,7 +226,6 @@ def _hand_force(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[An
     import numpy as np
 
     from teleop.physics.plant import grip_force
-    from teleop.simulation.bodies import master_coefficients
 
     scene = prepared.scene
     out = _of_axes(len(table), scene.axes)

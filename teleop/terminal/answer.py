@@ -14,19 +14,15 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from teleop.scene.scene import Scene
 from teleop.simulation.result import head, law_with_gains, parameters
 from teleop.storage.folder import LAST, NewFolder, new_folder
 from teleop.storage.strict_json import json_text, write_document
 from teleop.terminal.options import DONE, INTERRUPTED
 from teleop.terminal.screen import render
 from teleop.terminal.table import printable
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from teleop.scene.scene import Scene
 
 _NONE: Mapping[str, Any] = MappingProxyType({})
 _DT: Mapping[str, str] = MappingProxyType({"dt": "s"})

@@ -15,6 +15,7 @@ from teleop.terminal.options import (
     tick_options,
     whole,
 )
+from teleop.version import __version__
 
 FIRST = """\
 Move a robot far away and feel what it touches, although the network delays,
@@ -448,6 +449,4 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
 
 
 def _version() -> str:
-    from teleop.version import __version__
-
     return f"bilateral-teleop {__version__}"

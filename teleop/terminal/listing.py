@@ -21,7 +21,9 @@ from teleop.scene.knobs import COMMON
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Playout
+from teleop.simulation.metrics import METRICS
 from teleop.simulation.notes import unmet
+from teleop.stages.order import AFTER_LAW, BEFORE_LAW
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import si
 
@@ -98,8 +100,6 @@ def _laws() -> tuple[Rows, list[str]]:
 
 
 def _metrics() -> tuple[Rows, list[str]]:
-    from teleop.simulation.metrics import METRICS
-
     rows = [{"name": name, "unit": one.unit, "meaning": one.meaning, "needs": one.needs or "nothing"}
             for name, one in METRICS.items()]
     return rows, ["in summary.json of a run that has what each needs; in sweeps by --metrics NAME,NAME",
@@ -115,8 +115,6 @@ def _playouts() -> tuple[Rows, list[str]]:
 
 
 def _stages() -> tuple[Rows, list[str]]:
-    from teleop.stages.order import AFTER_LAW, BEFORE_LAW
-
     before, after = ([{"name": place.name, "ends": place.ends, "does": place.what, "named_by": place.field}
                       for place in places] for places in (BEFORE_LAW, AFTER_LAW))
     law = {"name": "(law)", "ends": "both", "does": "answers with its force and its message", "named_by": "law=Wave()"}

@@ -6,11 +6,14 @@ answer names its files; and no file is overwritten.
 
 from __future__ import annotations
 
+from argparse import Namespace
+from collections.abc import Iterable, Sequence
 from functools import partial
 from importlib.util import find_spec
 from io import BytesIO
 from itertools import count
 from os.path import lexists
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from teleop.errors import Refused
@@ -18,10 +21,6 @@ from teleop.storage.files import read_bytes, replacing
 from teleop.terminal.table import printable
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 

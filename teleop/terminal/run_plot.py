@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from teleop.scene.axes import unit_on
+from teleop.scene.axes import AxisLabels, unit_on
+from teleop.simulation.result import Result
 from teleop.simulation.trace import blocks
 from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
 from teleop.terminal.plotting import BLUE, DARK, GREEN, PNG, RED, UNDER, grid_lines, literal, new_figure, save
@@ -15,15 +18,9 @@ from teleop.terminal.run_table import heading, verdict
 from teleop.terminal.table import PREFIX
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
-
-    from teleop.scene.axes import AxisLabels
-    from teleop.simulation.result import Result
 
 BINS = 400  # at most, of equal length, along the time axis: each is about two pixels wide
 # A curve that goes up and down within its bins so often that its path is this many times their ranges would be drawn as

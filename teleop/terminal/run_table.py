@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from teleop.errors import number_of
-from teleop.simulation.result import law_with_gains
+from teleop.simulation.plan import Packets
+from teleop.simulation.result import Result, law_with_gains
 from teleop.terminal.table import facts, si
-
-if TYPE_CHECKING:
-    from teleop.simulation.plan import Packets
-    from teleop.simulation.result import Result
 
 _DIRECTIONS = ("fwd", "bwd")
 _LATE = (("half under", "p50"), ("99 % under", "p99"), ("at most", "p100"))

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from math import pi
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from teleop.errors import Refused
 from teleop.physics.plant import MassDamper, Plant
+from teleop.physics.sdirk import Core
+from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies, with_inner
-
-if TYPE_CHECKING:
-    from teleop.physics.sdirk import Core
-    from teleop.scene.scene import Scene
-    from teleop.simulation.integrators.relaxed import Branch
+from teleop.simulation.integrators.relaxed import Branch
 
 
 def slave_of(scene: Scene) -> MassDamper:
@@ -81,8 +80,6 @@ def _still(plant: Plant, environment: Any) -> tuple[Plant, Any]:
 
 
 def _carried_as(whole: Plant, still: Plant) -> Plant:
-    from functools import partial
-
     from teleop.physics.carried import Carried
 
     move: Any = whole.move
@@ -108,7 +105,6 @@ def relaxing_branch(still: Plant, environment: Any, body: MassDamper) -> Branch 
     if still.start is None:
         return None
     from teleop.physics.relaxing import move_relaxing
-    from teleop.simulation.integrators.relaxed import Branch
 
     if still.move is not move_relaxing or not all(hasattr(environment, name) for name in ("k", "k1", "tau")):
         return None
@@ -117,8 +113,6 @@ def relaxing_branch(still: Plant, environment: Any, body: MassDamper) -> Branch 
 
 def master_branch(scene: Scene) -> Branch:
     """The equation of the master where it is damped electrically."""
-    from teleop.simulation.integrators.relaxed import Branch
-
     hand, shunt = scene.hand, scene.electrical
     assert shunt is not None
     m_h, k, d = (hand.mass, hand.k, hand.d) if hand is not None else (0.0, 0.0, 0.0)

@@ -9,18 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from teleop.errors import Refused, nearest, number_of
 from teleop.physics.contact import WallStep, move_wall, wall_force
 from teleop.physics.plant import Gripped, MassDamper, Plant, Sprung, linear_force, move_free, move_linear
+from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
 from teleop.simulation.integrators import parts, relaxed
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch, wall_coefficients
 from teleop.simulation.integrators.nonlinear import ADVANCE, goes, held_stepped, move_stepped, stepped_force
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
 
 
 def touch_of(plant: Plant, body: MassDamper) -> Touch:
@@ -113,9 +111,6 @@ def _moved_by(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
     matrix = sub_step(method, Touch(grip.mass, grip.b, grip.k, grip.d), dt / n)
     return Bodies(((*matrix, *grip[6:]),) * scene.axes, slaves, {"move_gripped": gripped(n)})
 
-
-if TYPE_CHECKING:
-    from teleop.scene.scene import Scene
 
 EXACT = "exact"
 FORM = "METHOD:N with N sub-steps a tick, for example semi_implicit_euler:40, or exact"
