@@ -15,19 +15,17 @@ from dataclasses import dataclass, field
 from os import PathLike, fspath
 from pathlib import Path
 from struct import Struct
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.errors import Refused, number_of
 from teleop.scene.axes import MOST_AXES
 from teleop.scene.scene import MOST_TICKS
 from teleop.storage.files import open_regular, read_bytes
 from teleop.storage.strict_json import Misshapen, list_of, parse, record, text, whole
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 FILE = "hand.bin"
 PAGE = "page.json"

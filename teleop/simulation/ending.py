@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from teleop.errors import number_of, plural
 from teleop.law import is_built_in, law_name
 from teleop.law.contract import not_finite
@@ -83,8 +85,6 @@ def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
       along its reference where that is positive. At resonance a passive loop swings more and more too, but all its
       energy is the hand's.
     """
-    import numpy as np
-
     scene, ran = prepared.scene, prepared.scene.ticks
     window = ran // WINDOWS
     if not window:
@@ -113,8 +113,6 @@ def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
 
 def _port(trace: Mapping[str, Any]) -> float:
     """Energy (J) that law and link have taken up at both ends: each force with the motion that it was held over."""
-    import numpy as np
-
     def work(f: str, x: str) -> float:
         return float((trace[f][:-1] * np.diff(trace[x], axis=0)).sum())
 
@@ -123,8 +121,6 @@ def _port(trace: Mapping[str, Any]) -> float:
 
 def _will(prepared: Prepared, trace: Mapping[str, Any]) -> float:
     """Energy (J) that the hand's own will put in: the work of its force along its reference, where that is positive."""
-    import numpy as np
-
     if prepared.reference is None:
         return 0.0
     ran = prepared.scene.ticks
@@ -182,8 +178,6 @@ def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, tr
 
     What is not finite anywhere in the trace is a divergence, even of a run that came to its end.
     """
-    import numpy as np
-
     scene = prepared.scene
     lost = {
         name: int(np.argmin(sound.reshape(ran, -1).all(axis=1)))
@@ -209,8 +203,6 @@ def too_old(scene: Scene, end: str, plan: Plan | None, ran: int) -> list[str]:
     age = getattr(scene.watchdog, "age", None)
     if plan is None or age is None:
         return []
-    import numpy as np
-
     ages = (np.arange(ran) - plan.played_at[:ran])[plan.played_at[:ran] >= 0] * scene.dt
     old = ages[ages > age + 0.5 * scene.dt]
     return [age_note(end, len(old), float(old.max()), age)] if len(old) else []

@@ -38,16 +38,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import ceil, isfinite, nan, sqrt
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from teleop.scene.axes import scales
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import risen
 from teleop.simulation.trace import blocks
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 TINY = 1e-300
 END = 0.1  # s, before the end: a force that jumps from tick to tick, under loss, is told by its mean
@@ -225,8 +224,6 @@ def turning(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
 
 def in_order(values: NDArray[Any], total: float = 0.0) -> float:
     """`total` and the values, added from the first tick to the last, as a sweep adds them as it goes."""
-    import numpy as np
-
     with np.errstate(all="ignore"):
         for block in blocks(len(values)):
             total = np.add.accumulate(np.concatenate([[total], values[block]]))[-1]
@@ -239,8 +236,6 @@ def sums_of(frame: Frame, trace: Mapping[str, Any], groups: Sequence[str], first
     `first`: the first row of the last `END`; `size`: the magnitude over the axes of each row. Of the columns no more
     than two are held at a time: half an hour of a live run is 15 MB each.
     """
-    import numpy as np
-
     values: dict[str, float] = {}
     t, axes = trace["t"], frame.axes
     follows = np.diff(t) < 1.5 * frame.dt  # live, ticks may be missing
@@ -268,8 +263,6 @@ def sums_of(frame: Frame, trace: Mapping[str, Any], groups: Sequence[str], first
 
 def _free_sums(trace: Mapping[str, Any], axes: int, follows: NDArray[np.bool_]) -> dict[str, float]:
     """The sums over free space."""
-    import numpy as np
-
     rows = len(follows) + 1
     touches = ~(np.abs(trace["f_env"].reshape(rows, -1)) <= 0.0).all(axis=1)
     moves = (np.abs(trace["v_s"].reshape(rows, -1)) > 0.0).any(axis=1)
@@ -300,8 +293,6 @@ def _free_sums(trace: Mapping[str, Any], axes: int, follows: NDArray[np.bool_]) 
 
 def turns_of(trace: Mapping[str, Any], window: int) -> dict[str, float]:
     """The sums of `turns` of a trace: see `BandCrossings` of `teleop.sweeps.kernels.sums`."""
-    import numpy as np
-
     values: dict[str, float] = {}
     x, v = (trace[name].reshape(len(trace["t"]), -1) for name in ("x_m", "v_m"))
     for i in range(v.shape[1]):

@@ -6,17 +6,16 @@ from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from itertools import count, takewhile
 from math import isfinite
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from teleop.scene.axes import scales
 from teleop.scene.scene import Scene
 from teleop.simulation.felt import AT_REST, END, SUMS, TINY, figures, frame_of, resting, sums_of, turns_of
 from teleop.simulation.rest import Still
 from teleop.simulation.trace import blocks
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
 ROTATION = "a rotation"
@@ -152,15 +151,11 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
 
 def _begun(energy: NDArray[np.float64]) -> NDArray[np.float64]:
     """A ledger without the NaN that it begins with where a live run ended with another session than it began with."""
-    import numpy as np
-
     return energy[np.argmin(np.isnan(energy)):] if np.isnan(energy[0]) else energy
 
 
 def of_plan(way: str, play: Sequence[int], dt: float) -> dict[str, float]:
     """Figures of one direction ("fwd" or "bwd") by itself: `play` are the packets played at its ticks, or -1."""
-    import numpy as np
-
     played = np.asarray(play)
     fresh = np.flatnonzero(played >= 0)
     return _delays(way, (fresh - played[fresh]) * dt, len(played))
@@ -194,8 +189,6 @@ def _error(scene: Scene, trace: Mapping[str, Any], name: str) -> NDArray[np.floa
 
 def _by_axis(numbers: tuple[float, ...]) -> Any:
     """Divisor of a column of a trace, whose axes have numbers of their own."""
-    import numpy as np
-
     return np.array(numbers) if len(set(numbers)) > 1 else numbers[0]
 
 
@@ -207,8 +200,6 @@ def law_places(trace: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _ticks(trace: Mapping[str, Any], dt: float) -> NDArray[np.int64]:
-    import numpy as np
-
     t = trace["t"]
     ticks = np.empty(len(t), dtype=np.int64)
     for block in blocks(len(t)):
@@ -218,8 +209,6 @@ def _ticks(trace: Mapping[str, Any], dt: float) -> NDArray[np.int64]:
 
 def _ages(trace: Mapping[str, Any], seq: str, dt: float) -> NDArray[np.float64] | None:
     """Ages (s) of the fresh messages when they were played; None without a link."""
-    import numpy as np
-
     if seq not in trace:
         return None
     played, t = trace[seq], trace["t"]
@@ -235,8 +224,6 @@ def _ages(trace: Mapping[str, Any], seq: str, dt: float) -> NDArray[np.float64] 
 
 def _lag(age: NDArray[np.float64] | None, dt: float) -> int:
     """The median age in whole ticks, a half rounded up; 1 without a link."""
-    import numpy as np
-
     if age is None:
         return 1
     if not len(age):
@@ -247,8 +234,6 @@ def _lag(age: NDArray[np.float64] | None, dt: float) -> int:
 
 def _greatest(column: NDArray[Any]) -> float:
     """The greatest magnitude; NaN if there is one."""
-    import numpy as np
-
     return float(np.max([magnitude(column[block]).max() for block in blocks(len(column))]))
 
 
@@ -270,8 +255,6 @@ def _queues(trace: Mapping[str, Any], way: str, seq: str, dt: float) -> dict[str
 
 def _last(trace: Mapping[str, Any], dt: float) -> int:
     """The first row of the last `END`, of which there is one at least; live, ticks may be missing."""
-    import numpy as np
-
     t = trace["t"]
     return min(int(np.searchsorted(t, t[-1] - END + 0.5 * dt)), len(t) - 1)
 
@@ -306,8 +289,6 @@ def found_at_rest(scene: Scene, trace: Mapping[str, Any], still: Still, status: 
 
 def magnitude(column: NDArray[Any]) -> NDArray[Any]:
     """Magnitude over the axes, without squares that overflow where the magnitude does not."""
-    import numpy as np
-
     with np.errstate(all="ignore"):  # the last rows of a run that diverged
         size: NDArray[Any] = np.abs(column)
         if column.ndim == 1:
@@ -323,8 +304,6 @@ def magnitude(column: NDArray[Any]) -> NDArray[Any]:
 
 def _behind(mine: NDArray[Any], theirs: NDArray[Any], ticks: NDArray[np.int64], lag: int) -> NDArray[np.float64]:
     """Magnitude of `mine(k) - theirs(k - lag)`; NaN before the first tick at which both exist."""
-    import numpy as np
-
     size = np.full(len(ticks), np.nan)
     with np.errstate(all="ignore"):
         for block in blocks(len(ticks)):
@@ -336,8 +315,6 @@ def _behind(mine: NDArray[Any], theirs: NDArray[Any], ticks: NDArray[np.int64], 
 
 def _worst(name: str, size: NDArray[np.float64]) -> dict[str, float]:
     """RMS and maximum, from the first tick on at which there is an error to speak of."""
-    import numpy as np
-
     has = ~np.isnan(size)
     if not has.any():
         return {}
@@ -351,8 +328,6 @@ def _worst(name: str, size: NDArray[np.float64]) -> dict[str, float]:
 
 def _stamped(trace: Mapping[str, Any], way: str, e: str, dt: float) -> float:
     """Smallest of (energy the sender had put in when it sent) - (energy taken out when it was played)."""
-    import numpy as np
-
     played = trace[f"seq_{e}"]
     ticks, sent, taken = _ticks(trace, dt), trace[f"E_in_{way}"], trace[f"E_out_{way}"]
     least = []
@@ -366,15 +341,9 @@ def _stamped(trace: Mapping[str, Any], way: str, e: str, dt: float) -> float:
     return float(np.min(least)) if least else 0.0
 
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
 
 def quaternions(trace: Mapping[str, Any], e: str) -> list[NDArray[np.float64]]:
     """The orientation of each rotation of an end, m or s, as (w, x, y, z) in rows: of shape (4, ticks)."""
-    import numpy as np
-
     numbers = takewhile(lambda n: f"qw{n}_{e}" in trace, ("" if i == 1 else str(i) for i in count(1)))
     return [np.stack([trace[f"q{part}{n}_{e}"] for part in "wxyz"]) for n in numbers]
 
@@ -384,8 +353,6 @@ def angle_error(trace: Mapping[str, Any], ticks: NDArray[np.int64], lag: int) ->
 
     Of several rotations the greatest; NaN before the first tick at which both exist.
     """
-    import numpy as np
-
     at = np.searchsorted(ticks, ticks - lag, side="right") - 1
     has = at >= 0
     size = np.full(len(ticks), np.nan)

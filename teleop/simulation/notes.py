@@ -8,6 +8,8 @@ from dataclasses import fields, is_dataclass, replace
 from math import inf
 from typing import Any
 
+import numpy as np
+
 from teleop.errors import enumerated, number_of
 from teleop.law import innermost, law_name
 from teleop.law.offers import AgeRange, Facts, broken
@@ -115,8 +117,6 @@ def _unplayed(scene: Scene, direction: int, end: str, counts: Packets, played: i
 
 def _longer(scene: Scene, direction: int, seed: int, live: bool) -> str:
     """Words to type for a playout that is long enough for nearly all packets that the scene's link lets through."""
-    import numpy as np
-
     count = min(scene.ticks, ENOUGH)
     arrivals = scene.link.arrivals(direction, count, scene.dt_ns, seed, scene.wire_size)  # type: ignore[union-attr]  # packets came late on one
     ages = arrivals.time_ns - arrivals.packet * scene.dt_ns
@@ -158,8 +158,6 @@ def fitted(scene: Scene, seed: int = 0) -> Scene:
 
 def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[AgeRange | None, AgeRange | None, bool, float]:
     """Facts on the link and the skipped ticks of the first `ran` ticks of a run in virtual time."""
-    import numpy as np
-
     dt = scene.dt_ns / 1e9
     delays = [AgeRange(dt, dt) if plan is None else delay(np.arange(ran), plan.played_at[:ran], dt) for plan in plans]
     if scene.deadband is not None:  # of what could be sent, before it is known what is: a silence more
@@ -173,16 +171,12 @@ def of_plans(scene: Scene, plans: LinkPlans, ran: int) -> tuple[AgeRange | None,
 
 def longest(ticks: Any, end: int | None = None) -> int:
     """The most ticks from one of these that were run to the next, and to the `end` of the run; 1 at least."""
-    import numpy as np
-
     at = np.asarray(ticks, dtype=np.int64)
     return int(np.diff(at if end is None else np.append(at, end)).max(initial=1))
 
 
 def delay(ticks: Any, played: Any, dt: float) -> AgeRange | None:
     """The delay of one direction. `played`: at each of these ticks the packet played, below zero for none."""
-    import numpy as np
-
     at, newest = np.asarray(ticks, dtype=np.int64), np.maximum.accumulate(np.asarray(played, dtype=np.int64))
     ages = (at - newest)[newest >= 0]
     return AgeRange(float(ages.min()) * dt, float(ages.max()) * dt) if len(ages) else None

@@ -10,17 +10,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from inspect import signature
 from numbers import Integral
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from teleop.errors import Refused
 from teleop.scene.parts import LeftOutLike
 from teleop.scene.playout import Fixed, Playout, Zero
 from teleop.scene.scene import Scene
 from teleop.stages.memory import LEFT_OUT
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 
 class Plan(NamedTuple):
@@ -49,8 +48,6 @@ class Plan(NamedTuple):
         That is for each packet the tick at which it may be played, and its number: one that never comes has its own
         tick and -1.
         """
-        import numpy as np
-
         if self.due is None:
             return self.played_at
         numbers = np.arange(len(self.due))
@@ -71,8 +68,6 @@ class Plan(NamedTuple):
 
     def packets_until(self, ran: int) -> NDArray[np.int64]:
         """For each of the first `ran` ticks the packet played, or -1."""
-        import numpy as np
-
         return np.maximum(self.played_at[:ran], -1)
 
 
@@ -88,8 +83,6 @@ def plan(
     `by_content`: which packets are sent is known only as the run goes, so it has `due`. Raises `Refused` for a number
     that was not sent.
     """
-    import numpy as np
-
     if packet.shape != time_ns.shape or (packet.size and not 0 <= packet.min() <= packet.max() < count):
         raise Refused(f"arrivals are packets 0 .. {count - 1} and as many times; check the link's effects")
     tick = np.maximum(packet + 1, -(-time_ns // dt_ns))
@@ -137,8 +130,6 @@ def plan(
 
 def _next_run(left_out: NDArray[np.bool_]) -> NDArray[np.int64]:
     """For each of the ticks 0 .. count the first from there on that is run; that after the end is."""
-    import numpy as np
-
     count = len(left_out)
     runs = np.append(np.where(left_out, count, np.arange(count, dtype=np.int64)), count)
     after: NDArray[np.int64] = np.minimum.accumulate(runs[::-1])[::-1]
@@ -187,8 +178,6 @@ def link_plans(scene: Scene, seed: int, ticks: int | None = None,
 
 def _left_out(part: LeftOutLike, end: int, count: int, seed: int) -> NDArray[np.bool_]:
     """The ticks that an end leaves out, of a part that may be the user's own. Raises `Refused` if they are none."""
-    import numpy as np
-
     out = part.left_out(end, count, seed)
     if not isinstance(out, np.ndarray) or out.dtype != np.bool_ or out.shape != (count,):
         what = f"an array {out.shape} of {out.dtype}" if isinstance(out, np.ndarray) else type(out).__name__
@@ -199,16 +188,12 @@ def _left_out(part: LeftOutLike, end: int, count: int, seed: int) -> NDArray[np.
 
 def _without_packets(left_out: NDArray[np.bool_]) -> Plan:
     """The plan of an end to which nothing is sent."""
-    import numpy as np
-
     return Plan(np.where(left_out, LEFT_OUT, -1), 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 def _arrivals(scene: Scene, direction: int, count: int, seed: int, sent: NDArray[np.bool_] | None
               ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The packets that come in one direction, and when (ns)."""
-    import numpy as np
-
     if scene.link is None:
         packet = np.arange(count, dtype=np.int64) if sent is None else np.flatnonzero(sent)
         return packet, packet * scene.dt_ns
@@ -227,8 +212,6 @@ def median_age(played: Any) -> int:
 
     `played`: for each tick the packet played, or -1; anything that numpy makes an array of.
     """
-    import numpy as np
-
     packets = np.asarray(played, dtype=np.int64)
     fresh = np.flatnonzero(packets >= 0)
     ages = np.sort(fresh - packets[fresh])

@@ -36,14 +36,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from math import ceil, pi, sqrt
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 WINDOWS = 8
 LATE = 5  # of them
@@ -160,8 +159,6 @@ def _devices(scene: Scene) -> tuple[Any, ...]:
 
 def _stops(axis: Sequence[float], ticks: int) -> int:
     """The first sample that is the same as all after it."""
-    import numpy as np
-
     samples = np.asarray(axis, dtype=float)[: ticks + 1]
     moves = np.flatnonzero(samples[1:] != samples[:-1])
     return int(moves[-1]) + 1 if len(moves) else 0
@@ -172,8 +169,6 @@ def swings(columns: Iterable[NDArray[np.float64]], window: int, count: int = LAT
 
     `columns`: places by tick, of shape (ticks,), or (ticks, axes) where there are several axes.
     """
-    import numpy as np
-
     greatest = np.zeros(count)
     for column in columns:
         for place in np.reshape(column, (len(column), -1)).T:
@@ -188,8 +183,6 @@ def swings(columns: Iterable[NDArray[np.float64]], window: int, count: int = LAT
 
 def risen(place: NDArray[np.float64]) -> tuple[float, float]:
     """The largest rise and the largest fall (m) of one coordinate in a window."""
-    import numpy as np
-
     with np.errstate(over="ignore"):  # places may be as far apart as no float is
         return (float((place - np.minimum.accumulate(place)).max()),
                 float((np.maximum.accumulate(place) - place).max()))
@@ -222,8 +215,6 @@ def frequency(signal: Any, dt: float) -> float:
     Its straight line is taken off first. Hann window, the peak refined by the parabola through the logarithms of three
     lines.
     """
-    import numpy as np
-
     top = float(np.abs(signal).max())  # by which it is divided: no square overflows
     lines = np.abs(np.fft.rfft(_level(signal / top if top > 1.0 else signal) * np.hanning(len(signal)))) + 1e-300
     i = int(lines[1:-1].argmax()) + 1
@@ -234,16 +225,12 @@ def frequency(signal: Any, dt: float) -> float:
 
 def pitch(columns: Iterable[NDArray[np.float64]], window: int, dt: float) -> float:
     """The frequency (Hz) of the coordinate that swings most, over the last two windows of so many ticks."""
-    import numpy as np
-
     each = [place[-2 * window:] for column in columns for place in np.reshape(column, (len(column), -1)).T]
     return frequency(max(each, key=lambda place: swings([place], window, 1)), dt)
 
 
 def _level(signal: Any) -> NDArray[np.float64]:
     """A signal without the straight line that fits it best: a drift is no swing."""
-    import numpy as np
-
     t = np.linspace(-1.0, 1.0, len(signal))
     centred: NDArray[np.float64] = signal - np.mean(signal)
     level: NDArray[np.float64] = centred - t * ((t * centred).sum() / (t * t).sum())

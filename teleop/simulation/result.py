@@ -9,6 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+import numpy as np
+
 from teleop.errors import NamedValues, Refused
 from teleop.law import law_name
 from teleop.scene.axes import AxisLabels, labels_in, labels_of
@@ -146,7 +148,6 @@ def write_arrays(file: BinaryIO, arrays: Mapping[str, Any]) -> None:
     """Write arrays to a file as `numpy.savez` does, with one of them in memory at a time."""
     from zipfile import ZIP_STORED, ZipFile
 
-    import numpy as np
 
     with ZipFile(file, "w", ZIP_STORED, allowZip64=True) as archive:
         for name in arrays:
@@ -239,8 +240,6 @@ def stored_summary(folder: Path) -> dict[str, Any]:
 
 
 def _read(at: Path) -> Result:
-    import numpy as np
-
     from teleop.storage.archive import read_arrays
 
     summary = stored_summary(at)

@@ -6,16 +6,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import nan
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from teleop.errors import NamedValues
 from teleop.simulation.bodies import master_coefficients
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.structure import SENSED
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 BLOCK = 16384  # rows that are worked on at a time, so that a long run needs no second copy of a column
 
@@ -76,8 +75,6 @@ def blocks(count: int) -> Iterator[slice]:
 
 def seconds(ticks: Any, dt_ns: int) -> NDArray[np.float64]:
     """The times (s) of ticks."""
-    import numpy as np
-
     t = np.empty(len(ticks))
     for block in blocks(len(t)):
         t[block] = np.asarray(ticks[block], dtype=np.int64) * dt_ns / 1e9
@@ -89,8 +86,6 @@ def end_columns(prepared: Prepared, e: str, record: EndRecord) -> Columns:
 
     The external force is there if it was recorded, or if the scene's own bodies tell it.
     """
-    import numpy as np
-
     table = _Table(prepared, e, record)
     makers: dict[str, Callable[[], NDArray[Any]]] = {name: partial(table.column, name) for name in table.places}
     if record.played is not None:
@@ -117,8 +112,6 @@ def _until(prepared: Prepared, ticks: Sequence[int]) -> Prepared | None:
 
 def assemble(prepared: Prepared, records: Mapping[str, EndRecord]) -> Columns:
     """The trace of a run: `t`, then each end's columns, at the ticks that both ends ran."""
-    import numpy as np
-
     scene = prepared.scene
     ends = {e: end_columns(prepared, e, record) for e, record in records.items()}
     ticks_m, ticks_s = (np.asarray(records[e].ticks, dtype=np.int64) for e in ("m", "s" if "s" in ends else "m"))
@@ -141,8 +134,6 @@ def _ledgers(sums: Columns) -> dict[str, Callable[[], NDArray[Any]]]:
 
     They are not added to `sums` itself: what held each other would keep all rows until the next garbage collection.
     """
-    import numpy as np
-
     def link() -> NDArray[Any]:
         with np.errstate(all="ignore"):  # a run that diverges ends with sums that are infinite
             stored: NDArray[Any] = sums["E_in_fwd"]
@@ -173,8 +164,6 @@ class _Table:
     """The rows of an end and where in them each column stands."""
 
     def __init__(self, prepared: Prepared, e: str, record: EndRecord) -> None:
-        import numpy as np
-
         names = prepared.columns(e, None if record.force is None else record.force == "sensor")
         widths = [prepared.scene.axes if "@" in name else 1 for name in names]
         ends = np.add.accumulate(widths).tolist()
@@ -193,8 +182,6 @@ class _Table:
 
     def column(self, name: str) -> NDArray[np.float64]:
         """Column of all rows."""
-        import numpy as np
-
         at = self.places[name]
         width = at.stop - at.start
         out = np.empty(len(self) if width == 1 else (len(self), width))
@@ -216,15 +203,11 @@ def _per_axis(part: NDArray[Any], at: slice) -> NDArray[Any]:
 
 
 def _of_axes(count: int, axes: int) -> NDArray[np.float64]:
-    import numpy as np
-
     return np.empty(count) if axes == 1 else np.empty((count, axes))
 
 
 def _hand_force(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[Any]:
     """f_h of a master without a force sensor, worked out after the run from what it recorded; NaN if not `known`."""
-    import numpy as np
-
     from teleop.physics.plant import grip_force
 
     scene = prepared.scene

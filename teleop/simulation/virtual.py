@@ -6,6 +6,8 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from teleop.errors import NamedValues, Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
@@ -122,8 +124,6 @@ def result_of(
 
 def sent_ticks(scene: Scene, e: str, rows: Any, ran: int) -> Any:
     """The ticks at which an end sent its message, as its record has them: (ran,) truths."""
-    import numpy as np
-
     places = [each for name in columns(scene, e) for each in [name] * (scene.axes if name.endswith("@") else 1)]
     table = np.array(rows, dtype=float).reshape(ran, -1)
     return table[:, places.index(f"sent_{e}")] > 0.0

@@ -17,7 +17,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from teleop.scene.scene import Scene
-from teleop.simulation.result import head, law_with_gains, parameters
 from teleop.storage.folder import LAST, NewFolder, new_folder
 from teleop.storage.strict_json import json_text, write_document
 from teleop.terminal.options import DONE, INTERRUPTED
@@ -74,12 +73,16 @@ def say(answer: Answer, *, json: bool) -> None:
 
 def titled(scene: Scene) -> str:
     """Scene and law with its gains, as a table and a plot are headed."""
+    from teleop.simulation.result import law_with_gains, parameters
+
     return f"{scene.name}, law {law_with_gains(parameters(scene)['law'])}"
 
 
 def scene_head(scene: Scene, mode: str, *, sentence: str, seed: int, command: Sequence[str], status: str = "done",
                also: Sequence[str] = ()) -> dict[str, Any]:
     """The first keys of the document about a scene; `mode` is the command, `also` names further packages in use."""
+    from teleop.simulation.result import head, parameters
+
     return head(status=status, sentence=sentence, scene=scene.name, mode=mode, parameters=parameters(scene), seed=seed,
                 command=command, dt=scene.dt_ns / 1e9, also=also)
 

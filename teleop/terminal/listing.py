@@ -21,8 +21,6 @@ from teleop.scene.knobs import COMMON
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.scene.playout import Playout
-from teleop.simulation.metrics import METRICS
-from teleop.simulation.notes import unmet
 from teleop.stages.order import AFTER_LAW, BEFORE_LAW
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import si
@@ -100,6 +98,8 @@ def _laws() -> tuple[Rows, list[str]]:
 
 
 def _metrics() -> tuple[Rows, list[str]]:
+    from teleop.simulation.metrics import METRICS
+
     rows = [{"name": name, "unit": one.unit, "meaning": one.meaning, "needs": one.needs or "nothing"}
             for name, one in METRICS.items()]
     return rows, ["in summary.json of a run that has what each needs; in sweeps by --metrics NAME,NAME",
@@ -301,6 +301,8 @@ def _condition(condition: str, line: LawLine) -> str:
 
 def law_words(law: Any) -> tuple[list[str], dict[str, Any]]:
     """The lines on one law after its knobs, and the same as a document; `law` is its class."""
+    from teleop.simulation.notes import unmet
+
     try:
         made = law()
     except Exception:  # a law that has to be given numbers is known without them by its knobs alone

@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from teleop.analysis.models.linear import LinearScene, StateSpace
-from teleop.analysis.models.loop import FAINT, Loop, Points, gains, indent, reach, sampled_loop
+from teleop.analysis.models.loop import FAINT, Loop, gains, indent, reach, sampled_loop
+from teleop.analysis.models.peak import Points
 
 MOST_STATES = 400  # of a dense matrix
 FARTHEST = 600.0  # log |z^-d|; what is much beyond is no number

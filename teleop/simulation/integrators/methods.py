@@ -14,6 +14,8 @@ from collections.abc import Callable
 from math import inf, sqrt
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from teleop.physics.plant import Move
 
 GAMMA = 1.0 - sqrt(0.5)  # of SDIRK2
@@ -218,8 +220,6 @@ def _sdirk2(c: Any, x: float, v: float, f: float) -> tuple[float, float, int]:
 
 def _radau_maps(touch: Touch, h: float) -> tuple[Any, ...]:
     """For contact in none, the first, the second, both stages: (P1, U1, P2, U2) as rows of (p, u, f)."""
-    import numpy as np
-
     m, b, k, d, _, _, _, _ = touch
     a = h * np.array([[5.0, -1.0], [9.0, 3.0]]) / 12.0
     maps = []

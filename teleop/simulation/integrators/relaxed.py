@@ -11,15 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from teleop.simulation.integrators.methods import GAMMA, IntegrationMethod
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Matrix = NDArray[Any]
-    Steps = Callable[[float, float, float, float], tuple[float, float, float]]  # x, v, z, f after a tick
+Matrix = NDArray[Any]
+Steps = Callable[[float, float, float, float], tuple[float, float, float]]  # x, v, z, f after a tick
 
 # R as the coefficients of 1, z, z^2, ... above and below the line: Hairer & Wanner II, IV.3.
 STABILITY: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
@@ -46,8 +46,6 @@ class Branch(NamedTuple):
 
 def rates(branch: Branch) -> Matrix:
     """The rates of (x, v, z, f) as a matrix; f rests."""
-    import numpy as np
-
     m, c, k, g, h, tau = branch
     return np.array([[0.0, 1.0, 0.0, 0.0], [-k / m, -c / m, -g / m, 1.0 / m],
                      [0.0, h / tau, -1.0 / tau, 0.0], [0.0, 0.0, 0.0, 0.0]])
@@ -55,8 +53,6 @@ def rates(branch: Branch) -> Matrix:
 
 def sub_step(method: IntegrationMethod, branch: Branch, step: float) -> Matrix:
     """Make one sub-step of (x, v, z, f)."""
-    import numpy as np
-
     a, one = step * rates(branch), np.eye(4)
     if method.name in STABILITY:
         above, below = (sum(r * np.linalg.matrix_power(a, i) for i, r in enumerate(part))
