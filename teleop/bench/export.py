@@ -3,8 +3,6 @@
 Processor time of this process alone.
 """
 
-from __future__ import annotations
-
 import socket
 import subprocess
 import sys

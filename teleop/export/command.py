@@ -1,7 +1,5 @@
 """Commands `teleop export` and `teleop stream`."""
 
-from __future__ import annotations
-
 import os
 import sys
 from argparse import Namespace

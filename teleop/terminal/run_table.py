@@ -1,7 +1,5 @@
 """The table of a run, as a person reads it in a terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 

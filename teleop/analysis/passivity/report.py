@@ -1,7 +1,5 @@
 """Output of `teleop passivity`: a table for a person, JSON, and the curves behind them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ eigenvalues of both ends in series, the delay between them, with the sign that m
 criterion. Its phase margin is the least rotation, either way, that brings an L_j of magnitude 1 to -1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from math import pi
 from typing import Any, NamedTuple

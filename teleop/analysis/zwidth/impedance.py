@@ -15,8 +15,6 @@ log10 f where it is above 0: decades of impedance times decades of frequency. Di
 is the mean gap of the curves in decades.
 """
 
-from __future__ import annotations
-
 from math import log10, pi
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Parts common to the rivals, and our own engine beside them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from importlib import import_module

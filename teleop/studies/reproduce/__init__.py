@@ -3,8 +3,6 @@
 Each publication is a module of this room with a `PUBLICATION`; `PUBLICATIONS` lists them in the order of the table.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 
 from teleop.errors import Refused, nearest
