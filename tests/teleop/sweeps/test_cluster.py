@@ -257,7 +257,7 @@ class TestAnAddress:
             pass
 
     def test_needs_the_extra(self, rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+        monkeypatch.setattr("teleop.sweeps.cluster.find_spec", lambda _: None)
         with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[cluster\]'"), connected(rig.address):
             pass
 

@@ -161,7 +161,7 @@ class TestThePicture:
     ) -> None:
         pytest.importorskip("matplotlib")
         asked: list[Any] = []
-        monkeypatch.setattr("teleop.sweeps.pictures.picture.draw",
+        monkeypatch.setattr("teleop.sweeps.pictures.report.draw",
                             lambda *given, **named: asked.append((given[2], named["metric"])) or [given[1]])
         answer = typed("sweep", "soft_tissue", *SHORT, "--grid", "delay=0,0.1", "k_e=1,2", *words)
         assert answer.out.endswith(f"plot: {FOLDER / 'sweep'}\n")

@@ -284,7 +284,8 @@ class TestAWrongRequest:
                 plan_sweep("soft_tissue", axes, **other)  # type: ignore[arg-type]  # of other kinds
 
     def test_without_numba_an_engine_that_needs_it_says_what_to_install(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+        for place in ("importlib.util.find_spec", "teleop.sweeps.kernels.compiled.find_spec"):
+            monkeypatch.setattr(place, lambda _: None)
         with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[batch\]'"):
             plan_sweep("soft_tissue", engine="scalar")
         assert plan_sweep("satellite", {"delay": [0.1 * i for i in range(100)]}).engine == "plain"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import teleop.simulation.virtual
+import teleop.analysis.models.rest
 from master.hand import Grip, Rest
 from teleop import load_scene
 from teleop.analysis.models.rest import QUIET, settled
@@ -41,7 +41,7 @@ def swings(monkeypatch: pytest.MonkeyPatch, amplitude: Callable[[], Any]) -> lis
         x = amplitude() * np.sin(80.0 * np.pi * np.arange(scene.ticks) * 1e-3)
         return SimpleNamespace(status="ok", ticks=scene.ticks, dt=1e-3, trace={"x_m": x})
 
-    monkeypatch.setattr(teleop.simulation.virtual, "run", swinging)
+    monkeypatch.setattr(teleop.analysis.models.rest, "run", swinging)
     return asked
 
 

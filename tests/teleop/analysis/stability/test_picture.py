@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-import teleop.analysis.stability.picture
+import teleop.analysis.stability.command
 from teleop import Scene, load_scene
 from teleop.analysis.models.linear import linear_scene
 from teleop.analysis.stability import report
@@ -125,7 +125,7 @@ class TestTheCommand:
             raise KeyboardInterrupt
 
         monkeypatch.setattr(report, "PLACES", 4)
-        monkeypatch.setattr(teleop.analysis.stability.picture, "sweep", interrupted)
+        monkeypatch.setattr(teleop.analysis.stability.command, "sweep", interrupted)
         answer = typed("stability", "virtual_wall", "--critical", "law.K", "--range", "3000:5000", "--tol", "100",
                        "--plot", "--out", "here")
         assert answer.code == 130

@@ -150,7 +150,7 @@ class TestAFolder:
     def test_is_drawn_with_units_and_limits(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.importorskip("matplotlib")
         asked: list[Any] = []
-        monkeypatch.setattr("teleop.sweeps.pictures.picture.draw",
+        monkeypatch.setattr("teleop.sweeps.pictures.report.draw",
                             lambda *given, **named: asked.append((given, named)) or [given[1]])
         told, _, table = told_of(folder)
         limits = {"x_limit": 0.3, "duration": 5.0}
