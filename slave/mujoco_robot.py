@@ -189,8 +189,6 @@ class MuJoCoRobot:
     passive = True  # nothing moves it but its motors and what it touches
 
     def __init__(self, scene: Scene, file: str | None = None) -> None:
-        from slave.mujoco_robot import pressed
-
         self._model = load(scene, file)
         self._body = MuJoCoBody(self._model)
         self._axes = scene.axes

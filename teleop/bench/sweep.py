@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from teleop.bench.laws import kernel_of
+from teleop.bench.laws import MEASURES, kernel_of, seconds
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -151,12 +151,7 @@ def _canonical(link: str | None, *, energy: bool = False, k_e: float = 5000.0, *
 
 
 def _seconds(call: Callable[[], Any]) -> float:
-    best = float("inf")
-    for _ in range(5):
-        began = time.perf_counter()
-        call()
-        best = min(best, time.perf_counter() - began)
-    return best
+    return min(wall_seconds(call) for _ in range(5))
 
 
 def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
@@ -197,7 +192,6 @@ def _program(folder: Path) -> Any:
     return ctypes.CDLL(str(folder / "row.so"))
 
 
-MEASURES = ("x_err_rms", "x_err_max")
 FEW, MANY = 1_000, 100_000
 SHARED = 30_000  # rows for one thread and for two
 MILLION = """
@@ -221,7 +215,7 @@ def scale(rounds: int) -> list[Row]:
         few, many, ratios, gains, alone = [], [], [], [], []
         for _ in range(rounds):
             few.append(_sweep_seconds(engine, FEW, 1) / FEW)
-            alone.append(_wall_seconds(kernel) / FEW)
+            alone.append(wall_seconds(kernel) / FEW)
             gains.append(_sweep_seconds(engine, SHARED, 1) / _sweep_seconds(engine, SHARED, 2))
         for _ in range(max(1, rounds // 3)):
             many.append(_sweep_seconds(engine, MANY, 1) / MANY)
@@ -243,7 +237,7 @@ def scale(rounds: int) -> list[Row]:
 def _sweep_seconds(engine: str, rows: int, threads: int) -> float:
     """Seconds for a sweep of the canonical scene over the wall's stiffness."""
     points = grid({"k_e": _stiffnesses(rows)})
-    return _wall_seconds(lambda: run_sweep("canonical", points, metrics=MEASURES, engine=engine, workers=threads))
+    return wall_seconds(lambda: run_sweep("canonical", points, metrics=MEASURES, engine=engine, workers=threads))
 
 
 def _stiffnesses(count: int) -> list[float]:
@@ -251,7 +245,8 @@ def _stiffnesses(count: int) -> list[float]:
     return [2500.0 + 5000.0 * n / count for n in range(count)]
 
 
-def _wall_seconds(call: Callable[[], object]) -> float:
+def wall_seconds(call: Callable[[], object]) -> float:
+    """Time of a call, s."""
     began = time.perf_counter()
     call()
     return time.perf_counter() - began
@@ -298,10 +293,8 @@ def _over_built_in(engine: str, spent: dict[str, list[float]]) -> list[Row]:
 
 def _short_rows_seconds(engine: str, law: str, rows: int) -> float:
     """Processor time (s) of a sweep of soft tissue over its stiffness."""
-    began = time.process_time()
-    run_sweep("soft_tissue", {"law": [law], "k_e": [100.0 + n for n in range(rows)]}, engine=engine, workers=1,
-          fixed={"duration": 1e-3 * SHORT_TICKS})
-    return time.process_time() - began
+    return seconds(lambda: run_sweep("soft_tissue", {"law": [law], "k_e": [100.0 + n for n in range(rows)]},
+                                     engine=engine, workers=1, fixed={"duration": 1e-3 * SHORT_TICKS}))
 
 
 @contextmanager

@@ -92,7 +92,7 @@ def ticks(c: str, rounds: int, count: int = TICKS) -> list[Row]:
         alarm, loop = [_late(process.communicate()[0]) for process in running]
         ours.append(alarm)
         theirs.append(loop)
-        spun.append(_late(_output(*OURS, "tick", count, SPIN_NS)))
+        spun.append(_late(_started(*OURS, "tick", count, SPIN_NS).communicate()[0]))
     return [
         _summary("C loop on a timerfd: tick late by", theirs),
         *_beside("Alarm in asyncio: tick late by", ours, theirs),
@@ -206,10 +206,6 @@ def _started(*command: Any, core: int | None = None, **streams: Any) -> subproce
     if core is not None:
         os.sched_setaffinity(process.pid, [core])
     return process
-
-
-def _output(*command: Any) -> str:
-    return subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True, cwd=ROOT).stdout
 
 
 def _late(output: str) -> Late:

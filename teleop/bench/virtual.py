@@ -51,10 +51,11 @@ def virtual(rounds: int) -> list[Row]:
             numpys.append(_seconds(["-c", "import numpy"]))
             ours.append(_seconds(["-m", "scenarios", "run", "hard_wall", "--out", str(Path(folder) / str(i))]))
     ratio = median(ours) / median(numpys)
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024  # MB, since Linux counts in KiB
     rows += [
         ("`teleop run hard_wall`, whole process", f"{median(ours) * 1e3:.0f} ms", ""),
         ("  over `python -c 'import numpy'`", f"{ratio:.2f} times", "asked: at most 3.5"),
-        ("  peak memory of the largest process", f"{_peak():.0f} MB", "asked: at most 80"),
+        ("  peak memory of the largest process", f"{peak:.0f} MB", "asked: at most 80"),
     ]
     return rows
 
@@ -63,11 +64,6 @@ def _seconds(arguments: list[str]) -> float:
     began = time.perf_counter()
     subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
     return time.perf_counter() - began
-
-
-def _peak() -> float:
-    """MB, over the child processes so far; Linux counts in KiB."""
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
 
 
 MUJOCO_TICKS = 2000

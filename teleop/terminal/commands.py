@@ -64,7 +64,7 @@ def parser() -> ArgumentParser:
         prog="teleop", epilog=EXAMPLES, formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False,
         description="A delayed bilateral teleoperation stack: run a scene in virtual time or live.",
     )
-    whole_parser.add_argument("--version", action="version", version=_version())
+    whole_parser.add_argument("--version", action="version", version=f"bilateral-teleop {__version__}")
     whole_parser.set_defaults(do=None, json=False)
     commands = whole_parser.add_subparsers(title="commands", metavar="COMMAND")
     for name, (text, options) in COMMANDS.items():
@@ -444,7 +444,3 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "export": ("Write a run that is over as a file for other tools: MCAP for Foxglove, CSV for pandas.", _export),
     "stream": ("Send a live run to PlotJuggler as it grows, from a process of its own.", _stream),
 }
-
-
-def _version() -> str:
-    return f"bilateral-teleop {__version__}"

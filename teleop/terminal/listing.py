@@ -10,7 +10,7 @@ from typing import Any
 
 from teleop.errors import Refused, closest, nearest
 from teleop.kind import kinds
-from teleop.knob import Declared, Knob
+from teleop.knob import Declared
 from teleop.law import BUILT_IN, find_law, known_laws, messages
 from teleop.law.offers import CONDITIONS, claims_of, seed_energy, stores
 from teleop.naming import DEVICE_KINDS, known_devices
@@ -89,12 +89,6 @@ def _kind_of(kind: str) -> tuple[Rows, list[str]]:
     return _rows(names()[kind]), ["`teleop list NAME` shows the knobs of one of them."]
 
 
-def _laws() -> tuple[Rows, list[str]]:
-    from teleop.terminal.listing import law_rows
-
-    return law_rows(names()["laws"])
-
-
 def _metrics() -> tuple[Rows, list[str]]:
     from teleop.simulation.metrics import METRICS
 
@@ -147,7 +141,7 @@ def _bodies() -> tuple[Rows, list[str]]:
 
 
 TABLES: dict[str, Callable[[], tuple[Rows, list[str]]]] = {
-    "scenes": partial(_kind_of, "scenes"), "laws": _laws,
+    "scenes": partial(_kind_of, "scenes"), "laws": lambda: law_rows(names()["laws"]),
     **{kind: partial(_kind_of, kind) for kind in ("around", "effects", "estimators")},
     "metrics": _metrics, "playout": _playouts, "stages": _stages, "bodies": _bodies,
     "devices": partial(_devices, "m"), "robots": partial(_devices, "s"),
@@ -160,8 +154,6 @@ def _text(entry: Named) -> str:
     if entry.knobs:
         lines += [_aligned(_knob_rows(entry.knobs)), f"  set with: {entry.how}"]
     if entry.kind == "law":
-        from teleop.terminal.listing import law_words
-
         words, _ = law_words(entry.made)
         lines += ["", "what it sends, claims and keeps", *words] if words else []
     if entry.kind == "scene":
@@ -175,8 +167,6 @@ def _document(entry: Named) -> dict[str, Any]:
     document = {"kind": entry.kind, "name": entry.name, "meaning": entry.meaning, "set_with": entry.how,
             "knobs": [_knob(name, one) for name, one in entry.knobs.items()]}
     if entry.kind == "law":
-        from teleop.terminal.listing import law_words
-
         document |= law_words(entry.made)[1]
     if entry.kind == "scene":
         document["of_every_scene"] = [_knob(name, one) for name, one in COMMON.items() if name not in entry.knobs]
@@ -223,18 +213,16 @@ def _default(default: Any) -> str:
 
 def _remark(entry: Declared) -> str:
     """Unit, meaning and bounds of a knob."""
-    return ", ".join(part for part in (entry.knob.unit, meaning_of(entry), *_bounds(entry.knob)) if part)
+    knob = entry.knob
+    ends = ((">", knob.above), (">=", knob.low), ("<=", knob.high))
+    bounds = [f"{sign} {end:g}" for sign, end in ends if end is not None]
+    one_of = f"one of {', '.join(knob.choices)}" if knob.choices else ""
+    return ", ".join(part for part in (knob.unit, meaning_of(entry), *bounds, one_of) if part)
 
 
 def meaning_of(entry: Declared) -> str:
     """Meaning of a knob: its own, or that of its type."""
     return entry.knob.meaning or MEANINGS.get(_kind(entry.kind), "")
-
-
-def _bounds(knob: Knob) -> list[str]:
-    ends = ((">", knob.above), (">=", knob.low), ("<=", knob.high))
-    one_of = [f"one of {', '.join(knob.choices)}"] if knob.choices else []
-    return [f"{sign} {end:g}" for sign, end in ends if end is not None] + one_of
 
 
 LINKS = (("a constant 50 ms each way", "delay(0.05)"),  # over which the conditions of one law are asked for

@@ -23,9 +23,9 @@ of no account here: `QUIET` is far below it.
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from teleop.scene.axes import labels_of
 from teleop.scene.parts import Reference
 from teleop.scene.scene import Scene
+from teleop.simulation.ending import position_unit
 from teleop.simulation.rest import DISTURBED, STEPS, WINDOWS, disturbed, encoder_step, pitch, places, swings, trend
 from teleop.simulation.result import Result
 from teleop.simulation.virtual import run
@@ -74,16 +74,12 @@ def settled(scene: Scene, *, since: int = 0, seed: int = 0) -> FreeMotion:
             return FreeMotion("unstable", result.sentence, None, None, False)
         seen = _look(result, since)
         if seen.last < QUIET:
-            sentence = f"comes to rest: less than {QUIET:g} {_unit(scene)} of swing is left"
+            sentence = f"comes to rest: less than {QUIET:g} {position_unit(scene)} of swing is left"
             return FreeMotion("stable", sentence, 0.5 * seen.last, None, True)
         if before and before.trend == seen.trend == "stays" and KEPT[0] < seen.last / before.last < KEPT[1]:
             break
         before = seen
     return _decided(scene, seen, (result.ticks - since) * result.dt)
-
-
-def _unit(scene: Scene) -> str:
-    return labels_of(scene).unit("m") or "m or rad"
 
 
 def _look(result: Result, since: int) -> _Seen:
@@ -95,7 +91,7 @@ def _look(result: Result, since: int) -> _Seen:
 def _decided(scene: Scene, seen: _Seen, lasting: float) -> FreeMotion:
     """The verdict of the last run, which is not at rest and has not diverged."""
     step = encoder_step(scene)
-    amplitude, left = 0.5 * seen.last, f"{seen.pitch:.4g} Hz, {seen.last:.3g} {_unit(scene)} peak to peak"
+    amplitude, left = 0.5 * seen.last, f"{seen.pitch:.4g} Hz, {seen.last:.3g} {position_unit(scene)} peak to peak"
     if seen.trend == "grows":
         return FreeMotion("unstable", f"still grows after {lasting:.3g} s: {left} by now", amplitude, seen.pitch, False)
     if seen.trend == "falls" and not step:

@@ -1,12 +1,13 @@
 """Parts common to the rivals, and our own engine beside them."""
 
-import time
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from teleop.bench.laws import kernel_of
+from teleop.bench.sweep import wall_seconds
 from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -31,8 +32,6 @@ class Rival(NamedTuple):
 
 def ours() -> tuple[str, int, Callable[[], Any]]:
     """Our best engine by name, the scenario-steps of a call, and the call: rows that differ in the wall's stiffness."""
-    from teleop.bench.laws import kernel_of
-
     scenes = [load_scene("canonical", k_e=float(k_e)) for k_e in stiffnesses(ROWS)]
     run = kernel_of("vector", scenes, [0] * ROWS)
     run()  # compiles
@@ -75,10 +74,4 @@ def library(name: str, what: str) -> Any:
 
 def best_seconds(ready: Callable[[], Callable[[], Any]], times: int = 3) -> float:
     """The least of a few runs."""
-    best = float("inf")
-    for _ in range(times):
-        run = ready()
-        began = time.perf_counter()
-        run()
-        best = min(best, time.perf_counter() - began)
-    return best
+    return min(wall_seconds(ready()) for _ in range(times))

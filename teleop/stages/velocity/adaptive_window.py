@@ -43,19 +43,9 @@ LONGEST = 1000  # readings: one second at 1 kHz
 State = tuple[float, ...]  # the last `most` readings (m), newest first; NaN where the window does not reach yet
 
 
-def _checked(fit: EndFit | BestFit) -> None:
-    object.__setattr__(fit, "noise", number("noise", fit.noise, above=0.0))
-    object.__setattr__(fit, "most", whole_number("most", fit.most, low=1, high=LONGEST))
-
-
 def _missing(count: int) -> State:
     # No reading yet: NaN lies in no interval, so a window ends before it without being told to.
     return (nan,) * count
-
-
-def _coefficients(fit: EndFit | BestFit, dt: float) -> tuple[float, float, float, State]:
-    # A line that misses by `noise` exactly, as encoder readings have it, is good whatever rounding makes of it.
-    return dt, 1e-6 * dt, fit.noise * (1.0 + 1e-9), _missing(fit.most - 1)
 
 
 def _bridged(s: State, x: float, ticks: int) -> State:
@@ -67,22 +57,29 @@ def _bridged(s: State, x: float, ticks: int) -> State:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class EndFit:
-    """Adaptive window with the line through its two ends."""
+class AdaptiveWindow:
+    """Numbers and past of either line."""
 
     noise: Annotated[float, Knob("m", "most by which the line misses a reading: one encoder step", above=0.0)]
     most: Annotated[int, Knob("ticks", "longest window", low=1, high=LONGEST)] = 15
 
     def __post_init__(self) -> None:
-        _checked(self)
+        object.__setattr__(self, "noise", number("noise", self.noise, above=0.0))
+        object.__setattr__(self, "most", whole_number("most", self.most, low=1, high=LONGEST))
 
     def coefficients(self, dt: float) -> tuple[float, float, float, State]:
         """The tick (s), how much a span may differ from it, how far the line may miss a reading, and an empty past."""
-        return _coefficients(self, dt)
+        # A line that misses by `noise` exactly, as encoder readings have it, is good whatever rounding makes of it.
+        return dt, 1e-6 * dt, self.noise * (1.0 + 1e-9), _missing(self.most - 1)
 
     def start(self, x: float) -> State:
         """Take one reading at `x` (m)."""
         return (x, *_missing(self.most - 1))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EndFit(AdaptiveWindow):
+    """Adaptive window with the line through its two ends."""
 
     @staticmethod
     def step(c: tuple[float, float, float, State], s: State, x: float, span: float) -> tuple[float, State]:
@@ -111,22 +108,8 @@ class EndFit:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BestFit:
+class BestFit(AdaptiveWindow):
     """Adaptive window with the least-squares slope."""
-
-    noise: Annotated[float, Knob("m", "most by which the line misses a reading: one encoder step", above=0.0)]
-    most: Annotated[int, Knob("ticks", "longest window", low=1, high=LONGEST)] = 15
-
-    def __post_init__(self) -> None:
-        _checked(self)
-
-    def coefficients(self, dt: float) -> tuple[float, float, float, State]:
-        """As of `EndFit`."""
-        return _coefficients(self, dt)
-
-    def start(self, x: float) -> State:
-        """Take one reading at `x` (m)."""
-        return (x, *_missing(self.most - 1))
 
     @staticmethod
     def step(c: tuple[float, float, float, State], s: State, x: float, span: float) -> tuple[float, State]:

@@ -114,6 +114,8 @@ def advise(scene: str, budget: int, *, fixed: Mapping[str, object], laws: Sequen
     return Advice(scene=first, fixed=fixed, ways=ways, objective=objective, laws=tuple(advices), budget=budget,
                   rows=rows + rows_run, playouts=playouts, jumps=_jumps(top[0]) if top else None,
                   predicted=ended[-1][1])
+
+
 def score_changes(tuned: Tuned, changes: Sequence[Mapping[str, Any]], *, tasks: Sequence[str] = (SCENE, FREE),
                   workers: int | None = None) -> tuple[list[Score], int]:
     """The scores of the best point with knobs changed besides, the same ones in each; and the number of rows run.
@@ -147,17 +149,13 @@ def _jumps(law: LawAdvice) -> Jumps:
         force = np.asarray(trace["f_m"], dtype=float).reshape(len(trace["t"]), -1)
         tick = max(tick, _greatest(force, 1))
         within = max(within, _greatest(force, window))
-        played = _play_ticks(trace["seq_m"]) if "seq_m" in trace else None
-        if played is not None and len(played):
+        if "seq_m" in trace:
+            newest = np.maximum.accumulate(np.asarray(trace["seq_m"], dtype=np.int64))
+            played = np.flatnonzero(np.diff(newest, prepend=-1) > 0)  # of a message newer than all before
             ends = np.append(played[1:], len(force)) - 1  # the tick before the next message is played
             jumps = force[ends] - force[np.maximum(played - 1, 0)]
-            message = max(message, float(np.abs(jumps).max()))
+            message = max(message, float(np.abs(jumps).max(initial=0.0)))
     return Jumps(tick, message, within, len([*tuned.fresh][:JUMPS]))
-
-
-def _play_ticks(newest: Any) -> Any:
-    """The ticks at which a message is played that is newer than all before."""
-    return np.flatnonzero(np.diff(np.maximum.accumulate(np.asarray(newest, dtype=np.int64)), prepend=-1) > 0)
 
 
 def _greatest(force: Any, ticks: int) -> float:

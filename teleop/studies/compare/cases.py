@@ -75,7 +75,6 @@ class Comparison:
     knobs: Mapping[str, object]  # of every row
 
 
-
 def read_comparison(path: Path | str = BUILT_IN, laws: Sequence[str] | None = None) -> Comparison:
     """The comparison of a file, its keys and values checked; its scenes are not made yet.
 
