@@ -12,12 +12,11 @@ import pytest
 
 from teleop import At, Coupling, PDamped, Refused, Scene, VirtualCoupling, load_scene
 from teleop.analysis.models.one_port_loop import controller
+from teleop.analysis.passivity.command import ask
+from teleop.analysis.passivity.command import table as passivity_table
 from teleop.analysis.passivity.one_port import one_port
-from teleop.analysis.passivity.report import ask
-from teleop.analysis.passivity.report import table as passivity_table
 from teleop.analysis.stability.assess import stability
-from teleop.analysis.zwidth.assess import levers
-from teleop.analysis.zwidth.impedance import curves
+from teleop.analysis.zwidth.assess import curves, levers
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.law.analysis_offers import coupling_of, described, instead, linear_law
 from tests.fakes import OneSpring, law_of

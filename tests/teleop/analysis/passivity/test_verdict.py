@@ -10,8 +10,8 @@ import pytest
 from scipy.linalg import logm
 
 from teleop import load_scene
+from teleop.analysis.passivity.command import ask, summary, table
 from teleop.analysis.passivity.one_port import one_port
-from teleop.analysis.passivity.report import ask, summary, table
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.physics.relaxing import relaxing_master
 from teleop.scene.scene import Scene

@@ -16,7 +16,7 @@ from teleop import Scene, load_scene
 from teleop.analysis.models.linear import linear_scene
 from teleop.analysis.stability import report
 from teleop.analysis.stability.assess import stability
-from teleop.analysis.stability.picture import Picture, picture, sweep
+from teleop.analysis.stability.command import Picture, picture, sweep
 
 Typed = Callable[..., Any]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from teleop.analysis.zwidth.impedance import Curves, curves, device, most
+from teleop.analysis.zwidth.assess import Curves, curves, device, most
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.laws.virtual_coupling import VirtualCoupling
 from teleop.laws.virtual_wall import VirtualWall
