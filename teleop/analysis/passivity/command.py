@@ -28,30 +28,16 @@ from teleop.scene.axes import labels_of, told_along, unit_on
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.result import write_npz
+from teleop.terminal import plotting as plot
 from teleop.terminal.answer import Answer, Task, WithUnit, command_of, finite, scene_head, titled, with_units
 from teleop.terminal.options import knobs_from, typed_range
-from teleop.terminal.plotting import (
-    BLUE,
-    DARK,
-    FAILS,
-    GREEN,
-    ORANGE,
-    PNG,
-    RED,
-    SKY,
-    UNDER,
-    grid_lines,
-    literal,
-    new_figure,
-    save,
-)
 from teleop.terminal.table import facts, si
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STYLES = {"sampled": UNDER, "continuous": {"linestyle": "--", "linewidth": 1.1}}  # nearly the same at low frequencies
+STYLES = {"sampled": plot.UNDER, "continuous": {"linestyle": "--", "linewidth": 1.1}}  # alike at low frequencies
 ETA = (-1.3, 4.0)  # shown of Llewellyn's parameter
 SHOWN = 3  # bands in the table
 DAMPING = "N s/m"
@@ -272,25 +258,25 @@ def curves(answer: PassivityAnswer) -> dict[str, Any]:
     return two
 
 
-def draw(answer: PassivityAnswer, path: Path, formats: Sequence[str] = PNG) -> list[Path]:
+def draw(answer: PassivityAnswer, path: Path, formats: Sequence[str] = plot.PNG) -> list[Path]:
     """Draw `answer` into `path` with the suffix of each format, as `save` does; returns the files."""
     alone = answer.one is not None and answer.one.behind is None
-    title = literal(titled(answer.scene))
-    figure = new_figure((9.5, 5.0) if alone else (13.0, 8.5),
-                        f"{title}\n{fill(literal(answer.sentence), 110 if alone else 170)}")
+    title = plot.literal(titled(answer.scene))
+    figure = plot.new_figure((9.5, 5.0) if alone else (13.0, 8.5),
+                             f"{title}\n{fill(plot.literal(answer.sentence), 110 if alone else 170)}")
     data = curves(answer)
     if answer.one is not None:
         _draw_one_port(figure, answer.one, data)
     else:
         _draw_two_port(figure, answer, data)
-    return save(figure, path, formats)
+    return plot.save(figure, path, formats)
 
 
 def _frequency(axes: Axes, label: str) -> None:
     axes.set_xscale("log")
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel(label)
-    grid_lines(axes)
+    plot.grid_lines(axes)
 
 
 def _legend(axes: Axes) -> None:
@@ -304,21 +290,21 @@ def _draw_two_port(figure: Figure, answer: PassivityAnswer, data: dict[str, Any]
         if f"{name}_h" not in data:
             continue
         f, h = data[f"{name}_frequency"], data[f"{name}_h"]
-        top.plot(f, np.abs(h[:, 0, 0]), color=BLUE, label=f"$|h_{{11}}|$ free motion, {name}", **shown)
-        top.plot(f, 1.0 / np.abs(h[:, 1, 1]), color=RED, label=f"$1/|h_{{22}}|$ master held, {name}", **shown)
+        top.plot(f, np.abs(h[:, 0, 0]), color=plot.BLUE, label=f"$|h_{{11}}|$ free motion, {name}", **shown)
+        top.plot(f, 1.0 / np.abs(h[:, 1, 1]), color=plot.RED, label=f"$1/|h_{{22}}|$ master held, {name}", **shown)
         wide = {**shown, "linewidth": 2.0 * shown["linewidth"]}  # of a reciprocal two-port both are the same
-        passed.plot(f, np.abs(h[:, 0, 1]), color=GREEN, label=f"$|h_{{12}}|$ force, {name}", **wide)
-        passed.plot(f, np.abs(h[:, 1, 0]), color=ORANGE, label=f"$|h_{{21}}|$ velocity, {name}", **shown)
-        eta.plot(f, np.clip(data[f"{name}_eta"], -10.0, 1e3), color=BLUE, label=name, **shown)
+        passed.plot(f, np.abs(h[:, 0, 1]), color=plot.GREEN, label=f"$|h_{{12}}|$ force, {name}", **wide)
+        passed.plot(f, np.abs(h[:, 1, 0]), color=plot.ORANGE, label=f"$|h_{{21}}|$ velocity, {name}", **shown)
+        eta.plot(f, np.clip(data[f"{name}_eta"], -10.0, 1e3), color=plot.BLUE, label=name, **shown)
         if f"{name}_felt" in data:
-            felt.plot(f, np.abs(data[f"{name}_felt"]), color=BLUE, label=f"felt by the hand, {name}", **shown)
+            felt.plot(f, np.abs(data[f"{name}_felt"]), color=plot.BLUE, label=f"felt by the hand, {name}", **shown)
     _touched(felt, data)
     _bands(eta, answer)
-    eta.axhline(1.0, color=FAILS, linewidth=0.9)
+    eta.axhline(1.0, color=plot.FAILS, linewidth=0.9)
     eta.set_ylim(*ETA)
     for axes in (top, passed, felt):
         axes.set_yscale("log")
-    passed.axhline(1.0, color=DARK, linewidth=0.6)
+    passed.axhline(1.0, color=plot.DARK, linewidth=0.6)
     labels = {top: "impedance (N s/m)", eta: "Llewellyn's parameter", passed: "force and velocity ratio",
               felt: "impedance (N s/m)"}
     for axes, label in labels.items():
@@ -334,11 +320,11 @@ def _touched(axes: Axes, data: dict[str, Any]) -> None:
         if f"{name}_touched" in data:
             size = np.abs(data[f"{name}_touched"])
             if size.max() > 0.0:
-                axes.plot(data[f"{name}_frequency"], size, color=RED, linewidth=1.4, label="touched by the slave")
+                axes.plot(data[f"{name}_frequency"], size, color=plot.RED, linewidth=1.4, label="touched by the slave")
             else:
-                axes.plot([], [], color=RED, label="touched by the slave: nothing")
+                axes.plot([], [], color=plot.RED, label="touched by the slave: nothing")
             return
-    axes.text(0.5, 0.5, "the environment is not linear", ha="center", transform=axes.transAxes, color=DARK)
+    axes.text(0.5, 0.5, "the environment is not linear", ha="center", transform=axes.transAxes, color=plot.DARK)
 
 
 def _bands(axes: Axes, answer: PassivityAnswer) -> None:
@@ -346,7 +332,7 @@ def _bands(axes: Axes, answer: PassivityAnswer) -> None:
     judged = answer.two and (answer.two.sampled or answer.two.continuous)
     for i, band in enumerate(judged.bands if judged else ()):
         which = "sampled" if answer.two and answer.two.sampled else "continuous"
-        axes.axvspan(*band, color=FAILS, alpha=0.12, linewidth=0.0, label=f"fails, {which}" if i == 0 else None)
+        axes.axvspan(*band, color=plot.FAILS, alpha=0.12, linewidth=0.0, label=f"fails, {which}" if i == 0 else None)
 
 
 def _draw_one_port(figure: Figure, one: RenderedImpedance, data: dict[str, Any]) -> None:
@@ -366,9 +352,9 @@ def _lost(axes: Axes, one: RenderedImpedance, behind: Behind, data: dict[str, An
     f = data["frequency"]
     theta = 2.0 * np.pi * one.T * f
     parts: tuple[tuple[Any, str, dict[str, Any], str], ...] = (
-        (behind.E, RED, UNDER, "$|E|$ of the environment"),
-        (behind.C, ORANGE, UNDER, "$|C|$ of the coupling"),
-        (one.E, BLUE, {"linewidth": 1.2}, "$|Z|$ rendered: both in series"),
+        (behind.E, plot.RED, plot.UNDER, "$|E|$ of the environment"),
+        (behind.C, plot.ORANGE, plot.UNDER, "$|C|$ of the coupling"),
+        (one.E, plot.BLUE, {"linewidth": 1.2}, "$|Z|$ rendered: both in series"),
     )
     for part, colour, shown, label in parts:
         axes.plot(f, np.abs(smooth(part, theta)), color=colour, label=label, **shown)
@@ -380,14 +366,14 @@ def _lost(axes: Axes, one: RenderedImpedance, behind: Behind, data: dict[str, An
 
 def _needed(axes: Axes, one: RenderedImpedance, data: dict[str, Any]) -> None:
     f, need = data["frequency"], data["needed_damping"]
-    axes.plot(f, need, color=BLUE, label="damping that the held force asks for")
-    axes.axhline(one.damping, color=GREEN, label="the device's damping $b$")
+    axes.plot(f, need, color=plot.BLUE, label="damping that the held force asks for")
+    axes.axhline(one.damping, color=plot.GREEN, label="the device's damping $b$")
     has = data.get("damping_with_shunt", np.full_like(f, one.damping))
     if "damping_with_shunt" in data:
-        axes.plot(f, has, color=GREEN, linestyle="--", label="with the shunt of its motor")
-    axes.fill_between(f, has, need, where=list(need > has), color=FAILS, alpha=0.15, linewidth=0.0,
+        axes.plot(f, has, color=plot.GREEN, linestyle="--", label="with the shunt of its motor")
+    axes.fill_between(f, has, need, where=list(need > has), color=plot.FAILS, alpha=0.15, linewidth=0.0,
                       label="more than that" if np.any(need > has) else None)
-    axes.axhline(0.0, color=DARK, linewidth=0.6)
+    axes.axhline(0.0, color=plot.DARK, linewidth=0.6)
     _frequency(axes, "damping (N s/m)")
     _legend(axes)
 
@@ -397,21 +383,21 @@ def _diagram(axes: Axes, one: RenderedImpedance, behind: Behind) -> None:
     delta = one.damping
     factors = np.geomspace(1e-2, 1e2, 400)
     gamma = behind.gamma * factors
-    axes.plot(gamma, [alpha_miller(delta, g) for g in gamma], color=ORANGE,
+    axes.plot(gamma, [alpha_miller(delta, g) for g in gamma], color=plot.ORANGE,
               label=r"$\delta\gamma/(\delta+\gamma)$, Miller et al.")
-    axes.axhline(delta, color=GREEN, linewidth=0.9, label=r"$\delta$: without a coupling")
+    axes.axhline(delta, color=plot.GREEN, linewidth=0.9, label=r"$\delta$: without a coupling")
     if behind.conditions:
         edge = delta / behind.passive_needs  # that grows with C in proportion
         few = np.union1d(factors[::10][factors[::10] < edge], [edge * (1.0 - 1e-6)])
-        axes.axvline(behind.gamma * edge, color=DARK, linestyle=":", linewidth=1.0,
+        axes.axvline(behind.gamma * edge, color=plot.DARK, linestyle=":", linewidth=1.0,
                      label="beyond: a rigid one makes energy")
         limits = [alpha_max(delta, _scaled(behind, factor), one.T, d=one.d, tol=1e-4) for factor in few]
         most = [np.nan if alpha is None else alpha for alpha in limits]
-        axes.plot(behind.gamma * few, most, color=BLUE, marker=".", markersize=4,
+        axes.plot(behind.gamma * few, most, color=plot.BLUE, marker=".", markersize=4,
                   label="exact for linear ones, holding included")
     alpha = behind.alpha.alpha
     lacks = rf"$\alpha_e$ = {alpha:.3g} N s/m" if isfinite(alpha) else behind.alpha.why
-    axes.plot([behind.gamma], [min(alpha, 3.0 * delta)], color=RED, marker="*" if alpha <= 3.0 * delta else "^",
+    axes.plot([behind.gamma], [min(alpha, 3.0 * delta)], color=plot.RED, marker="*" if alpha <= 3.0 * delta else "^",
               markersize=13, linestyle="none", label=f"this scene, {lacks}")
     axes.set_ylim(-0.05 * delta, 3.1 * delta if alpha > delta else 1.25 * delta)
     _frequency(axes, r"$\alpha_e$ allowed (N s/m)")
@@ -428,7 +414,7 @@ def _real(axes: Axes, one: RenderedImpedance, behind: Behind, frequency: Any) ->
 
     Below 0 it is not passive; above it is if nothing of it grows or anticipates, which the circle does not show.
     """
-    looks = (("explicit", RED), ("semi-implicit", ORANGE), ("trapezoid", SKY), ("backward", BLUE))
+    looks = (("explicit", plot.RED), ("semi-implicit", plot.ORANGE), ("trapezoid", plot.SKY), ("backward", plot.BLUE))
     greatest = one.damping
     for under, (name, colour) in enumerate(reversed(looks)):
         if name in behind.by:
@@ -438,8 +424,8 @@ def _real(axes: Axes, one: RenderedImpedance, behind: Behind, frequency: Any) ->
                       linewidth=1.2 + 0.9 * under, zorder=2.5 - 0.1 * under,  # wider below others: equal ones are seen
                       label=f"{name}: {lacking(lack)}")
             greatest = max(greatest, float(np.abs(real).max()))
-    axes.axhline(-one.damping, color=GREEN, linewidth=0.9, label=r"$-\delta$")
-    axes.axhline(0.0, color=DARK, linewidth=0.6)
+    axes.axhline(-one.damping, color=plot.GREEN, linewidth=0.9, label=r"$-\delta$")
+    axes.axhline(0.0, color=plot.DARK, linewidth=0.6)
     linear = 10.0 ** floor(log10(max(one.damping, 1e-3)))  # within +- this the axis is linear
     decades = max(1, ceil(log10(greatest / linear)))
     axes.set_yscale("symlog", linthresh=linear)

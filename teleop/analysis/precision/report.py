@@ -20,29 +20,9 @@ from teleop.errors import number_of
 from teleop.scene.axes import labels_of, told_along, unit_on
 from teleop.scene.loading import load_scene
 from teleop.simulation.result import write_npz
+from teleop.terminal import plotting as plot
 from teleop.terminal.answer import Answer, Task, WithUnit, command_of, finite, scene_head, with_units
 from teleop.terminal.options import knobs_from
-from teleop.terminal.plotting import (
-    BLACK,
-    BLUE,
-    BROWN,
-    DARK,
-    FAILS,
-    GREEN,
-    GREY,
-    OLIVE,
-    ORANGE,
-    PINK,
-    PNG,
-    PURPLE,
-    RED,
-    SKY,
-    WINE,
-    grid_lines,
-    literal,
-    new_figure,
-    save,
-)
 from teleop.terminal.progress import shown_for
 from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts, si
@@ -239,17 +219,17 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    "euler": Look(GREY, "v", "--"), "semi_implicit_euler": Look(ORANGE, "^", "--"),
-    "verlet": Look(RED, "D", "-"), "rk4": Look(PINK, "s", "-"),
-    "backward_euler": Look(BROWN, "o", "--"), "midpoint": Look(SKY, "P", "-"),
-    "trapezoid": Look(BLUE, "X", "-"), "sdirk2": Look(GREEN, "h", "-"), "radau": Look(PURPLE, "p", "-"),
-    "DOP853": Look(OLIVE, "<", "-."), "LSODA": Look(WINE, ">", "-."), "Radau": Look(BLACK, "d", "-."),
+    "euler": Look(plot.GREY, "v", "--"), "semi_implicit_euler": Look(plot.ORANGE, "^", "--"),
+    "verlet": Look(plot.RED, "D", "-"), "rk4": Look(plot.PINK, "s", "-"),
+    "backward_euler": Look(plot.BROWN, "o", "--"), "midpoint": Look(plot.SKY, "P", "-"),
+    "trapezoid": Look(plot.BLUE, "X", "-"), "sdirk2": Look(plot.GREEN, "h", "-"), "radau": Look(plot.PURPLE, "p", "-"),
+    "DOP853": Look(plot.OLIVE, "<", "-."), "LSODA": Look(plot.WINE, ">", "-."), "Radau": Look(plot.BLACK, "d", "-."),
 }
 SIZES = (10.0, 7.0, 5.0, 3.5)  # of the marks, from coarse to fine
 PANELS = (("x_s", "x_err", "slave's position", "m"), ("f_env", "f_err", "force on the environment", "N"))
 
 
-def draw(got: Precision, path: Path, formats: Sequence[str] = PNG) -> list[Path]:
+def draw(got: Precision, path: Path, formats: Sequence[str] = plot.PNG) -> list[Path]:
     """Draw `got` into `path` with the suffix of each format, as `save` does; returns the files."""
     by = got.truth.method if not got.truth.estimates else f"scipy's {got.truth.method}, every change of mode located"
     off, axis = got.truth.off, axis_of(got)
@@ -259,8 +239,8 @@ def draw(got: Precision, path: Path, formats: Sequence[str] = PNG) -> list[Path]
         f"; scipy: rtol {', '.join(f'{rtol:.0e}' for rtol in TOLERANCES)}")
     counts = f"({number_of(got.result.ticks, 'tick')}, {number_of(got.contacts, 'contact')})"
     marks = f"marks from large to small: {', '.join(map(str, SUBSTEPS))} sub-steps per tick{scipys}"
-    title = f"{literal(heading(got.result))}: error against run time {counts}\n{marks}{reference}"
-    figure = new_figure((13.0, 9.5), title)
+    title = f"{plot.literal(heading(got.result))}: error against run time {counts}\n{marks}{reference}"
+    figure = plot.new_figure((13.0, 9.5), title)
     every = figure.subplots(2, 2, height_ratios=(3, 2), squeeze=True)
     for column, (series, track, what, metric) in enumerate(PANELS):
         unit = unit_on(metric, axis)
@@ -271,7 +251,7 @@ def draw(got: Precision, path: Path, formats: Sequence[str] = PNG) -> list[Path]
     figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=9)
     handles, labels = every[1, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right lower", frameon=False, fontsize=9)
-    return save(figure, path, formats)
+    return plot.save(figure, path, formats)
 
 
 def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None:
@@ -285,11 +265,11 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
         points = [(e.ns_per_tick * 1e-3, _height(e, series, top, got.truth.off[series]), e) for e in entries]
         if method in ("exact", "default"):
             x, y, e = points[0]
-            axes.scatter([x], [y], marker="*", s=220, color=BLACK, zorder=5, label=e.contender.label)
-            axes.axvline(x, color=BLACK, linewidth=0.6, alpha=0.5)
+            axes.scatter([x], [y], marker="*", s=220, color=plot.BLACK, zorder=5, label=e.contender.label)
+            axes.axvline(x, color=plot.BLACK, linewidth=0.6, alpha=0.5)
             if got.truth.bound:
-                axes.scatter([x], [got.truth.bound[series]], marker="*", s=220, facecolors="none", edgecolors=BLACK,
-                             zorder=5, label="its own bound")
+                axes.scatter([x], [got.truth.bound[series]], marker="*", s=220, facecolors="none", zorder=5,
+                             edgecolors=plot.BLACK, label="its own bound")
             continue
         look = LOOKS[method]
         axes.plot([x for x, _, _ in points], [y for _, y, _ in points], linestyle=look.line, color=look.colour,
@@ -299,17 +279,18 @@ def _work(axes: Axes, got: Precision, series: str, what: str, unit: str) -> None
             axes.plot([x], [y], color=look.colour, marker=look.marker, markersize=_mark(e), markeredgecolor="white",
                       markeredgewidth=0.4)
             if e.status == "diverged":
-                axes.scatter([x], [y], marker="x", s=110, color=FAILS, zorder=6)
+                axes.scatter([x], [y], marker="x", s=110, color=plot.FAILS, zorder=6)
             elif e.missed:
-                axes.scatter([x], [y], marker="o", s=150, facecolors="none", edgecolors=FAILS, zorder=6)
+                axes.scatter([x], [y], marker="o", s=150, facecolors="none", edgecolors=plot.FAILS, zorder=6)
     _marks(axes, got)
     if any(e.errors[series].max <= got.truth.off[series] for e in got.entries):
-        axes.axhline(got.truth.off[series], color=DARK, linewidth=0.8, linestyle=":", label="reference's own error")
+        axes.axhline(got.truth.off[series], color=plot.DARK, linewidth=0.8, linestyle=":",
+                     label="reference's own error")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("run time of the whole loop (us per tick)")
     axes.set_ylabel(f"largest error of the {what} ({unit})")
-    grid_lines(axes)
+    plot.grid_lines(axes)
 
 
 def _mark(e: Entry) -> float:
@@ -320,9 +301,9 @@ def _mark(e: Entry) -> float:
 def _marks(axes: Axes, got: Precision) -> None:
     """The legend's lines for contenders that diverged or missed contacts, and the reference's own error."""
     if any(e.status == "diverged" for e in got.entries):
-        axes.scatter([], [], marker="x", s=90, color=FAILS, label="diverged (drawn at the top)")
+        axes.scatter([], [], marker="x", s=90, color=plot.FAILS, label="diverged (drawn at the top)")
     if any(e.missed for e in got.entries):
-        axes.scatter([], [], marker="o", s=90, facecolors="none", edgecolors=FAILS, label="missed contacts")
+        axes.scatter([], [], marker="o", s=90, facecolors="none", edgecolors=plot.FAILS, label="missed contacts")
 
 
 def _top(got: Precision, series: str) -> float:
@@ -344,11 +325,11 @@ def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: 
     covers is still seen beside it.
     """
     t = got.along["t"]
-    axes.plot(t, _above(got.along[track], 0.0), color=BLACK, linewidth=4.0, alpha=0.25,
+    axes.plot(t, _above(got.along[track], 0.0), color=plot.BLACK, linewidth=4.0, alpha=0.25,
               label="tracking and transparency")
     some = _some(got)
     for i, e in enumerate(some):
-        look = LOOKS.get(e.contender.method, Look(BLACK, "", "-"))
+        look = LOOKS.get(e.contender.method, Look(plot.BLACK, "", "-"))
         label = f"numerical, {e.contender.label} {e.contender.step}".rstrip()
         width = 0.7 + 0.4 * (len(some) - 1 - i) * (i > 0)
         axes.plot(t, _above(got.along[f"{series}:{e.key}"], got.truth.off[series]), color=look.colour, linewidth=width,
@@ -356,7 +337,7 @@ def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: 
     axes.set_yscale("log")
     axes.set_xlabel("time (s)")
     axes.set_ylabel(f"error of the {what} ({unit})")
-    grid_lines(axes)
+    plot.grid_lines(axes)
 
 
 def _some(got: Precision) -> list[Entry]:

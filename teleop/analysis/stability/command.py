@@ -28,24 +28,9 @@ from teleop.errors import Refused
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.result import write_npz
+from teleop.terminal import plotting as plot
 from teleop.terminal.answer import Answer, Task, WithUnit, command_of, interrupts_wait, titled
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
-from teleop.terminal.plotting import (
-    BLACK,
-    BLUE,
-    DARK,
-    FAILS,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    asked_formats,
-    grid_lines,
-    literal,
-    new_figure,
-    save,
-)
 from teleop.terminal.progress import shown_for
 from teleop.terminal.table import si
 
@@ -57,7 +42,7 @@ MOST_TURNS = 30  # of the Nyquist plot that are still told apart
 WIDE = 30.0  # times the growth rate of the slowest: from there on the axes are logarithmic outside
 FAINT = 0.05  # of the magnitude: below, the Nyquist plot is at its middle
 AT_REST = 1e-6  # from z = 1
-COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, GREY)
+COLOURS = (plot.BLUE, plot.ORANGE, plot.GREEN, plot.PURPLE, plot.SKY, plot.GREY)
 FAR = 1080.0  # degrees of phase that are shown
 DRAWN = 200  # roots of a loop with more states than a dense matrix has
 SLOWEST = 0.01  # Hz
@@ -205,15 +190,15 @@ def curves(drawn: Picture, swept: MarginCurves | None) -> dict[str, Any]:
 
 def draw(answer: StabilityAnswer, drawn: Picture, path: Path, formats: Sequence[str]) -> list[Path]:
     """Draw roots and open loop as `path` in each of `formats`; returns the files."""
-    title = f"{literal(titled(answer.scene))}\n{literal(answer.sentence)}"
+    title = f"{plot.literal(titled(answer.scene))}\n{plot.literal(answer.sentence)}"
     if drawn.loop is None or not (drawn.loop.L != 0.0).any():
         why = "no open loop: the force is renewed slowly, or the law reads the force that acts on its device"
         if drawn.loop is not None:
             why = "no open loop: one of the ends sends nothing back"
-        figure = new_figure((7.5, 9.0), f"{title}\n{why}")
+        figure = plot.new_figure((7.5, 9.0), f"{title}\n{why}")
         grid = figure.add_gridspec(4, 1)
     else:
-        figure = new_figure((13.0, 9.0), title)
+        figure = plot.new_figure((13.0, 9.0), title)
         grid = figure.add_gridspec(4, 2)
         magnitude = figure.add_subplot(grid[0, 1])
         phase = figure.add_subplot(grid[1, 1], sharex=magnitude)
@@ -221,7 +206,7 @@ def draw(answer: StabilityAnswer, drawn: Picture, path: Path, formats: Sequence[
         _nyquist(figure.add_subplot(grid[2:, 1]), answer, drawn.loop)
     _s_plane(figure.add_subplot(grid[:2, 0]), answer, drawn)
     _z_plane(figure.add_subplot(grid[2:, 0]), drawn)
-    return save(figure, path, formats)
+    return plot.save(figure, path, formats)
 
 
 def _legend(axes: Axes, **where: Any) -> None:
@@ -240,14 +225,14 @@ def _marks(axes: Axes, x: Any, y: Any, z: Any, dominant: complex | None) -> None
     """Roots at (x, y), those that grow, that rest and the dominant one marked."""
     rests = np.abs(z - 1.0) <= AT_REST
     grows = (np.abs(z) > 1.0) & ~rests
-    axes.plot(x[~grows & ~rests], y[~grows & ~rests], "x", color=BLUE, markersize=6, label="decays")
+    axes.plot(x[~grows & ~rests], y[~grows & ~rests], "x", color=plot.BLUE, markersize=6, label="decays")
     if grows.any():
-        axes.plot(x[grows], y[grows], "x", color=FAILS, markersize=6, label="grows")
+        axes.plot(x[grows], y[grows], "x", color=plot.FAILS, markersize=6, label="grows")
     if rests.any():
-        axes.plot(x[rests], y[rests], "s", color=BLACK, markersize=6, fillstyle="none", label="rests at z = 1")
+        axes.plot(x[rests], y[rests], "s", color=plot.BLACK, markersize=6, fillstyle="none", label="rests at z = 1")
     if dominant is not None:
         nearest = np.abs(z - dominant).argmin()
-        axes.plot(x[nearest], y[nearest], "o", color=FAILS if grows[nearest] else GREEN, markersize=12,
+        axes.plot(x[nearest], y[nearest], "o", color=plot.FAILS if grows[nearest] else plot.GREEN, markersize=12,
                   fillstyle="none", markeredgewidth=1.6, label="dominant mode")
 
 
@@ -260,7 +245,7 @@ def _s_plane(axes: Axes, answer: StabilityAnswer, drawn: Picture) -> None:
     growth, frequency = _motions(drawn)
     z = np.exp((growth + 2j * pi * frequency) * drawn.period)
     _marks(axes, growth, frequency, z, _dominant(answer))
-    axes.axvline(0.0, color=DARK, linewidth=0.8)
+    axes.axvline(0.0, color=plot.DARK, linewidth=0.8)
     order = np.sort(growth)[::-1]
     if order.size:
         left, right = order[min(NEAREST, order.size) - 1], max(order[0], 0.0)
@@ -284,13 +269,13 @@ def _s_plane(axes: Axes, answer: StabilityAnswer, drawn: Picture) -> None:
     axes.set_title(f"roots as motions, log z/T{beyond}", fontsize=10)
     axes.set_xlabel("growth rate (1/s)")
     axes.set_ylabel("frequency (Hz)")
-    grid_lines(axes)
+    plot.grid_lines(axes)
     _legend(axes, loc="best")
 
 
 def _z_plane(axes: Axes, drawn: Picture) -> None:
     around = np.exp(1j * np.linspace(0.0, 2.0 * pi, 721))
-    axes.plot(around.real, around.imag, color=DARK, linewidth=0.8)
+    axes.plot(around.real, around.imag, color=plot.DARK, linewidth=0.8)
     z = drawn.roots.z
     _marks(axes, z.real, z.imag, z, None)
     count, total = len(z), drawn.roots.total
@@ -301,7 +286,7 @@ def _z_plane(axes: Axes, drawn: Picture) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("Re z")
     axes.set_ylabel("Im z")
-    grid_lines(axes)
+    plot.grid_lines(axes)
 
 
 def _describe_gain(answer: StabilityAnswer) -> str:
@@ -321,20 +306,20 @@ def _bode(magnitude: Axes, phase: Axes, answer: StabilityAnswer, loop: OpenLoop)
         angle = np.degrees(np.unwrap(np.angle(loop.L[:, j])))
         angle -= 360.0 * np.ceil((angle[0] - 179.0) / 360.0)  # from -180 on, not 180
         phase.plot(f, angle, color=colour, linewidth=1.2)
-    magnitude.axhline(0.0, color=DARK, linewidth=0.8)
-    phase.axhline(-180.0, color=DARK, linewidth=0.8)
+    magnitude.axhline(0.0, color=plot.DARK, linewidth=0.8)
+    phase.axhline(-180.0, color=plot.DARK, linewidth=0.8)
     if loop.gain_crossover is not None:
         words = "|L| = 1" if loop.phase_margin is None else f"phase margin {np.degrees(loop.phase_margin):.3g} deg"
         for axes in (magnitude, phase):
-            axes.axvline(loop.gain_crossover, color=GREEN, linestyle="--", linewidth=1.0,
+            axes.axvline(loop.gain_crossover, color=plot.GREEN, linestyle="--", linewidth=1.0,
                          label=f"{words}, {si(loop.gain_crossover, 'Hz')}" if axes is magnitude else None)
     gain = getattr(answer.assessment, "gain_margin", None)
     if loop.phase_crossover and gain is not None:
         for axes in (magnitude, phase):
-            axes.axvline(loop.phase_crossover, color=FAILS, linestyle=":", linewidth=1.2,
+            axes.axvline(loop.phase_crossover, color=plot.FAILS, linestyle=":", linewidth=1.2,
                          label=f"{_describe_gain(answer)}, {si(loop.phase_crossover, 'Hz')}" if axes is magnitude
                          else None)
-        magnitude.plot([loop.phase_crossover] * 2, [0.0, -20.0 * log10(gain)], color=FAILS, linewidth=2.0)
+        magnitude.plot([loop.phase_crossover] * 2, [0.0, -20.0 * log10(gain)], color=plot.FAILS, linewidth=2.0)
     else:
         magnitude.plot([], [], " ", label=_describe_gain(answer) + (" at rest" if gain == 1.0 else ""))
     top = 20.0 * log10(max(float(size.max()), 1e-9))
@@ -353,7 +338,7 @@ def _bode(magnitude: Axes, phase: Axes, answer: StabilityAnswer, loop: OpenLoop)
     magnitude.tick_params(labelbottom=False)
     for axes in (magnitude, phase):
         axes.set_xscale("log")
-        grid_lines(axes)
+        plot.grid_lines(axes)
     _legend(magnitude, loc="lower left")
 
 
@@ -372,14 +357,14 @@ def _nyquist(axes: Axes, answer: StabilityAnswer, loop: OpenLoop) -> None:
         axes.plot(L[:, j].real, L[:, j].imag, color=COLOURS[j % len(COLOURS)], linewidth=1.1)
         axes.plot(L[:, j].real, -L[:, j].imag, color=COLOURS[j % len(COLOURS)], linewidth=0.6, alpha=0.5)
     around = np.exp(1j * np.linspace(0.0, 2.0 * pi, 361))
-    axes.plot(around.real, around.imag, color=DARK, linewidth=0.6, linestyle=":")
-    axes.plot([-1.0], [0.0], "+", color=FAILS, markersize=11, markeredgewidth=1.8, label="-1")
+    axes.plot(around.real, around.imag, color=plot.DARK, linewidth=0.6, linestyle=":")
+    axes.plot([-1.0], [0.0], "+", color=plot.FAILS, markersize=11, markeredgewidth=1.8, label="-1")
     gain = getattr(answer.assessment, "gain_margin", None)
     if gain is not None and turns <= MOST_TURNS:
-        axes.plot([-1.0 / gain], [0.0], "o", color=FAILS, markersize=6, label=_describe_gain(answer))
+        axes.plot([-1.0 / gain], [0.0], "o", color=plot.FAILS, markersize=6, label=_describe_gain(answer))
     if loop.phase_margin is not None and turns <= MOST_TURNS:
         angle = pi - loop.phase_margin
-        axes.plot([np.cos(angle)] * 2, [np.sin(angle), -np.sin(angle)], "d", color=GREEN, markersize=6,
+        axes.plot([np.cos(angle)] * 2, [np.sin(angle), -np.sin(angle)], "d", color=plot.GREEN, markersize=6,
                   label=f"phase margin {np.degrees(loop.phase_margin):.3g} deg")
     far = min(max(1.25, 1.15 * float(size.max())), max(3.0, 1.3 / (gain or 1.0)))
     axes.set_xlim(-far, far)
@@ -388,7 +373,7 @@ def _nyquist(axes: Axes, answer: StabilityAnswer, loop: OpenLoop) -> None:
     axes.set_title(title, fontsize=10)
     axes.set_xlabel("Re L")
     axes.set_ylabel("Im L")
-    grid_lines(axes)
+    plot.grid_lines(axes)
     _legend(axes, loc="upper left", bbox_to_anchor=(1.02, 1.0), borderaxespad=0.0)
 
 
@@ -396,36 +381,37 @@ def draw_swept(answer: StabilityAnswer, swept: MarginCurves, path: Path, formats
     """Draw growth rate and margins over the knob as `path` in each of `formats`; returns the files."""
     edge = answer.edge
     assert edge is not None
-    figure = new_figure((9.5, 8.5), f"{literal(titled(answer.scene))}: stability over {literal(edge.knob)}")
+    title = f"{plot.literal(titled(answer.scene))}: stability over {plot.literal(edge.knob)}"
+    figure = plot.new_figure((9.5, 8.5), title)
     over = {"growth rate (1/s)": swept.growth, "gain margin (dB)": 20.0 * np.log10(swept.gain_margin),
             "phase margin (deg)": np.degrees(swept.phase_margin)}
     over = {label: each for label, each in over.items() if np.isfinite(each).any()}  # none: see `MarginCurves`
     panels = figure.subplots(len(over), 1, sharex=True, squeeze=False)[:, 0]
     values, growth, last = swept.values, panels[0], panels[-1]
     for axes, (label, each) in zip(panels, over.items(), strict=True):
-        axes.plot(values, each, color=BLUE, marker=".", label="dominant mode" if axes is growth else None)
+        axes.plot(values, each, color=plot.BLUE, marker=".", label="dominant mode" if axes is growth else None)
         axes.set_ylabel(label)
-    growth.fill_between(values, 0.0, swept.growth, where=list(swept.growth > 0.0), color=FAILS, alpha=0.15,
+    growth.fill_between(values, 0.0, swept.growth, where=list(swept.growth > 0.0), color=plot.FAILS, alpha=0.15,
                         interpolate=True, linewidth=0.0, label="grows")
     scene_value, unit = own_value(answer.scene, edge.knob), answer.unit
     for axes in panels:
-        axes.axhline(0.0, color=DARK, linewidth=0.8)
+        axes.axhline(0.0, color=plot.DARK, linewidth=0.8)
         for i, one in enumerate(edge.all):
-            axes.axvline(one.value, color=FAILS, linestyle="--", linewidth=1.1,
+            axes.axvline(one.value, color=plot.FAILS, linestyle="--", linewidth=1.1,
                          label=f"critical: {', '.join(f'{each.value:.5g}' for each in edge.all)}{unit}"
                          if i == 0 and axes is growth else None)
         if values[0] <= scene_value <= values[-1]:
-            axes.axvline(scene_value, color=GREY, linestyle=":", linewidth=1.1,
+            axes.axvline(scene_value, color=plot.GREY, linestyle=":", linewidth=1.1,
                          label=f"the scene's own: {scene_value:.5g}{unit}" if axes is growth else None)
-        grid_lines(axes)
+        plot.grid_lines(axes)
     if values[0] > 0.0 and values[-1] > 10.0 * values[0]:
         last.set_xscale("log")
     low, high = float(np.nanmin(swept.growth)), float(np.nanmax(swept.growth))
     if low < -20.0 * max(high, 1e-9) or high > 20.0 * max(-low, 1e-9):
         growth.set_yscale("symlog", linthresh=max(min(abs(low), abs(high)), 1e-2 * max(abs(low), abs(high))))
-    last.set_xlabel(literal(f"{edge.knob}{f' ({unit.strip()})' if unit else ''}"))
+    last.set_xlabel(plot.literal(f"{edge.knob}{f' ({unit.strip()})' if unit else ''}"))
     _legend(growth, loc="best")
-    return save(figure, path, formats)
+    return plot.save(figure, path, formats)
 
 
 def find(args: Namespace) -> Task:
@@ -434,7 +420,7 @@ def find(args: Namespace) -> Task:
     An interrupt of the search for a critical value, or of the margins over its knob, leaves what is known until then.
     Raises `Refused`, and the task KeyboardInterrupt before the search.
     """
-    formats = asked_formats(args)
+    formats = plot.asked_formats(args)
     if formats and args.time:
         raise Refused("a plot shows the roots and the open loop, which a run in virtual time does not have; leave "
                       f"--plot out, or see the motion itself: teleop run {args.scene} --plot")

@@ -19,23 +19,9 @@ from teleop.analysis.zwidth.assess import LeverRow, ZWidth, assess, span
 from teleop.analysis.zwidth.plane import Boundary, passive_line, published_rule
 from teleop.scene.axes import labels_of, unit_on
 from teleop.scene.loading import load_scene
+from teleop.terminal import plotting as plot
 from teleop.terminal.answer import Answer, Task, WithUnit, command_of, finite, scene_head, titled, with_units
 from teleop.terminal.options import DONE, INTERRUPTED, knobs_from
-from teleop.terminal.plotting import (
-    BLACK,
-    BLUE,
-    DARK,
-    GREEN,
-    GREY,
-    ORANGE,
-    RED,
-    SKY,
-    UNDER,
-    grid_lines,
-    literal,
-    new_figure,
-    save,
-)
 from teleop.terminal.progress import shown_for
 from teleop.terminal.table import columns, facts
 
@@ -203,7 +189,7 @@ PANELS = (
 
 def _new(got: ZWidth, title: str, size: tuple[float, float]) -> Figure:
     heading = f"{titled(got.scene)}: {title}"
-    return new_figure(size, literal(heading + " (interrupted)" * got.interrupted))
+    return plot.new_figure(size, plot.literal(heading + " (interrupted)" * got.interrupted))
 
 
 def _plane(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
@@ -231,15 +217,15 @@ def _plane(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
         axes.set_title(words, fontsize=10)
         axes.set_xlabel("virtual damping B (N s/m)")
         axes.set_ylabel("virtual stiffness K (N/m)")
-        grid_lines(axes)
+        plot.grid_lines(axes)
     low_B, low_K = got.span_B.low, got.span_K.low
-    whole.add_patch(Rectangle((low_B, low_K), near_B - low_B, near_K - low_K, fill=False, edgecolor=BLACK,
+    whole.add_patch(Rectangle((low_B, low_K), near_B - low_B, near_K - low_K, fill=False, edgecolor=plot.BLACK,
                               linewidth=1.2, zorder=3, label="the part that is shown on the right", clip_on=False))
     if not region.corners:
-        corner.text(0.97, 0.03, "no K or B above 0 is passive", transform=corner.transAxes, ha="right", color=RED)
+        corner.text(0.97, 0.03, "no K or B above 0 is passive", transform=corner.transAxes, ha="right", color=plot.RED)
     handles, labels = whole.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    return save(figure, path, formats)
+    return plot.save(figure, path, formats)
 
 
 def _regions(axes: Axes, got: ZWidth, far_B: float, far_K: float) -> None:
@@ -247,31 +233,31 @@ def _regions(axes: Axes, got: ZWidth, far_B: float, far_K: float) -> None:
     edge = got.stable or got.stable_free
     if edge is not None:
         capped = np.minimum(edge.K, 1e12)
-        axes.fill_between(edge.B, 0.0, capped, color=SKY, alpha=0.15, linewidth=0.0)
-    _edge(axes, got.stable, "stable below: exact sampled loop, with the scene's hand", UNDER)
+        axes.fill_between(edge.B, 0.0, capped, color=plot.SKY, alpha=0.15, linewidth=0.0)
+    _edge(axes, got.stable, "stable below: exact sampled loop, with the scene's hand", plot.UNDER)
     _edge(axes, got.stable_free, "stable below: the same, free handle", {"linestyle": "--", "linewidth": 1.2})
     corners = got.base.region.corners
     if corners:
         shape = np.array([(0.0, 0.0), *corners])
-        axes.fill(shape[:, 1], shape[:, 0], color=GREEN, alpha=0.45, linewidth=1.5, label="passive, to any hand")
-    axes.plot(B, passive_line(got.scene, B), color=BLACK, linestyle=":", linewidth=1.3,
+        axes.fill(shape[:, 1], shape[:, 0], color=plot.GREEN, alpha=0.45, linewidth=1.5, label="passive, to any hand")
+    axes.plot(B, passive_line(got.scene, B), color=plot.BLACK, linestyle=":", linewidth=1.3,
               label="K T/2 + B = b, no delay (Colgate & Schenkel 1997)")
-    axes.plot(B, published_rule(got.scene, B), color=ORANGE, linestyle="-.", linewidth=1.3,
+    axes.plot(B, published_rule(got.scene, B), color=plot.ORANGE, linestyle="-.", linewidth=1.3,
               label="K = (b + B)/(T/2 + $t_d$) (Gil, Hulin et al. 2009)")
     rested = [(B, K) for B, K in got.measured if K is not None and isfinite(K)]
     if rested:
-        axes.plot(*zip(*rested, strict=True), color=RED, marker="o", markersize=4.5, linestyle="none",
+        axes.plot(*zip(*rested, strict=True), color=plot.RED, marker="o", markersize=4.5, linestyle="none",
                   label="measured: at rest up to here, in virtual time")
     own_K, own_B = got.scene.law.K, got.scene.law.B
     seen = got.span_K.low <= own_K <= far_K and got.span_B.low <= own_B <= far_B  # whole even on the axes' edge
-    axes.plot([own_B], [own_K], marker="*", markersize=11, color=BLACK, linestyle="none",
+    axes.plot([own_B], [own_K], marker="*", markersize=11, color=plot.BLACK, linestyle="none",
               label="the scene's own K and B", clip_on=not seen)
 
 
 def _edge(axes: Axes, edge: Boundary | None, label: str, shown: dict[str, Any]) -> None:
     if edge is not None:
         some = [(B, K) for B, K in zip(edge.B, edge.K, strict=True) if isfinite(K)]
-        axes.plot([B for B, _ in some], [K for _, K in some], color=BLUE, label=label, **shown)
+        axes.plot([B for B, _ in some], [K for _, K in some], color=plot.BLUE, label=label, **shown)
 
 
 def _impedance(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
@@ -283,24 +269,26 @@ def _impedance(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
     axes = figure.subplots()
     shown = c.upper is not None and bool((c.upper > 0.0).any())
     if c.upper is not None and shown:
-        axes.plot(c.frequency, c.upper, color=GREEN, linewidth=1.6, label="$Z_{max}$: the greatest passive |K/s + B|")
-        axes.fill_between(c.frequency, c.lower, c.upper, where=c.upper > c.lower, color=GREEN, alpha=0.15,
+        axes.plot(c.frequency, c.upper, color=plot.GREEN, linewidth=1.6,
+                  label="$Z_{max}$: the greatest passive |K/s + B|")
+        axes.fill_between(c.frequency, c.lower, c.upper, where=c.upper > c.lower, color=plot.GREEN, alpha=0.15,
                           linewidth=0.0)
         high = c.at_one[0]
         if high is not None and c.width:
-            axes.annotate("", (1.0, high), (1.0, c.at_one[1]), arrowprops={"arrowstyle": "<->", "color": GREY})
-            axes.annotate(f"{c.width:.4g} N s/m", (1.08, float(np.sqrt(high * c.at_one[1]))), color=DARK, fontsize=9)
+            axes.annotate("", (1.0, high), (1.0, c.at_one[1]), arrowprops={"arrowstyle": "<->", "color": plot.GREY})
+            axes.annotate(f"{c.width:.4g} N s/m", (1.08, float(np.sqrt(high * c.at_one[1]))), fontsize=9,
+                          color=plot.DARK)
     elif c.upper is not None:
-        axes.text(0.5, 0.9, "no K or B above 0 is passive", transform=axes.transAxes, ha="center", color=RED)
-    axes.plot(c.frequency, c.lower, color=BLUE, linewidth=1.6, label="$Z_{min}$: the device alone")
+        axes.text(0.5, 0.9, "no K or B above 0 is passive", transform=axes.transAxes, ha="center", color=plot.RED)
+    axes.plot(c.frequency, c.lower, color=plot.BLUE, linewidth=1.6, label="$Z_{min}$: the device alone")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(c.frequency[0], c.frequency[-1])
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel("impedance (N s/m)")
-    grid_lines(axes)
+    plot.grid_lines(axes)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    return save(figure, path, formats)
+    return plot.save(figure, path, formats)
 
 
 def _levers(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
@@ -319,11 +307,11 @@ def _levers(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
         most = max([value for value in values if value is not None and isfinite(value)], default=0.0) or 1.0
         for i, value in enumerate(values):
             sound = value is not None and isfinite(value)
-            axes.barh(i, value if sound else 0.0, color=GREY if i == 0 else SKY, height=0.66)
+            axes.barh(i, value if sound else 0.0, color=plot.GREY if i == 0 else plot.SKY, height=0.66)
             text = format_value(value) if value is not None else "not claimed" if "rest" not in key else "-"
             axes.text((value if sound and value is not None else 0.0) + 0.015 * most, i, text, va="center", fontsize=8)
         if values and values[0]:
-            axes.axvline(values[0], color=GREY, linewidth=0.8, linestyle="--")
+            axes.axvline(values[0], color=plot.GREY, linewidth=0.8, linestyle="--")
         axes.set_xlim(0.0, 1.22 * most)
         axes.set_title(title.format(B=got.scene.law.B), fontsize=9)
         axes.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=9)
@@ -332,7 +320,7 @@ def _levers(got: ZWidth, path: Path, formats: Sequence[str]) -> list[Path]:
         axes.grid(visible=True, axis="x", linewidth=0.4, alpha=0.5)
         axes.set_axisbelow(True)
     every[0, 0].invert_yaxis()
-    return save(figure, path, formats)
+    return plot.save(figure, path, formats)
 
 
 PLOTS = {"plane": _plane, "impedance": _impedance, "levers": _levers}  # each draws as `save` does

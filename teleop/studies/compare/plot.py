@@ -29,23 +29,7 @@ from teleop.studies.compare.figures import (
     columns_of,
     endings,
 )
-from teleop.terminal.plotting import (
-    BLUE,
-    DARK,
-    FAILS,
-    GREY,
-    PALE,
-    PNG,
-    PURPLE,
-    SKY,
-    YELLOW,
-    grid_lines,
-    literal,
-    new_figure,
-    save,
-    scale_by_decades,
-    write_names,
-)
+from teleop.terminal import plotting as plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +37,8 @@ if TYPE_CHECKING:
 
 LAW_HEIGHT = 0.27  # inches a law
 ACROSS, WIDEST = 3, 8.4  # blocks of the status map side by side: at most, and inches
-STATUS = {"ok": SKY, **dict.fromkeys(BAD, YELLOW), "unstable": PURPLE, "diverged": FAILS, "refused": PALE}
+STATUS = {"ok": plot.SKY, **dict.fromkeys(BAD, plot.YELLOW), "unstable": plot.PURPLE,
+          "diverged": plot.FAILS, "refused": plot.PALE}
 WHERE = {FREE: "nothing touched", TOUCHED: "in contact"}
 LEAST = 1e-4  # share of the rigid rod's force, or of the environment's stiffness, from which on an axis goes
 
@@ -75,21 +60,21 @@ DOTS = (
 
 
 def draw(rows: Sequence[Row], verdicts: Sequence[LawVerdict], comparison: Comparison, folder: Path,
-         formats: Sequence[str] = PNG) -> list[Path]:
+         formats: Sequence[str] = plot.PNG) -> list[Path]:
     """Draw every figure that the rows have something for into `folder`; returns the files."""
     links, environments = ([each.name for each in some] for some in (comparison.links, comparison.environments))
     status = status_map(rows, verdicts, links, environments)
     status.suptitle("How the runs ended (the worst of a case's seeds)", fontsize=11)
-    files = save(status, folder / "status", formats)
+    files = plot.save(status, folder / "status", formats)
     scatter = tracking_plot(verdicts)
     if scatter is not None:
         scatter.suptitle("Tracking against free-space drag: a law at the right tracks because it holds the hand",
                          fontsize=11)
-        files += save(scatter, folder / "tracking", formats)
+        files += plot.save(scatter, folder / "tracking", formats)
     for question in DOTS:
         figure = _dots(question, rows, verdicts)
         if figure is not None:
-            files += save(figure, folder / question.name, formats)
+            files += plot.save(figure, folder / question.name, formats)
     return files
 
 
@@ -103,7 +88,7 @@ def status_map(rows: Sequence[Row], verdicts: Sequence[LawVerdict], links: Seque
     across = max(1, min(len(environments), ACROSS, int(WIDEST / block)))
     down = -(-len(environments) // across)
     size = (max(6.0, block * across + 1.6), down * (0.26 * len(laws) + 1.5) + 0.8)
-    figure = new_figure(size)
+    figure = plot.new_figure(size)
     every = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
     for axes in every[len(environments):]:
         axes.set_visible(False)
@@ -115,9 +100,9 @@ def status_map(rows: Sequence[Row], verdicts: Sequence[LawVerdict], links: Seque
                 if status is not None:
                     axes.add_patch(_square(x, y, STATUS[status]))
         axes.set(xlim=(-0.5, len(links) - 0.5), ylim=(len(laws) - 0.5, -0.5), aspect="equal")
-        axes.set_xticks(range(len(links)), [literal(link) for link in links], rotation=90, fontsize=9)
-        axes.set_yticks(range(len(laws)), [literal(law) for law in laws], fontsize=9)
-        axes.set_title(literal(environment), fontsize=10)
+        axes.set_xticks(range(len(links)), [plot.literal(link) for link in links], rotation=90, fontsize=9)
+        axes.set_yticks(range(len(laws)), [plot.literal(law) for law in laws], fontsize=9)
+        axes.set_title(plot.literal(environment), fontsize=10)
         axes.tick_params(length=0)
         for side in axes.spines.values():
             side.set_visible(False)
@@ -146,22 +131,23 @@ def tracking_plot(verdicts: Sequence[LawVerdict]) -> Figure | None:
     sound = [each for each in points if isfinite(each[1]) and isfinite(each[2])]
     if len(sound) < 2:
         return None
-    figure = new_figure((9.5, 6.2))
+    figure = plot.new_figure((9.5, 6.2))
     axes = figure.subplots()
     colours = [min(max(press, 0.0), 200.0) if isfinite(press) else 0.0 for *_, press in sound]
     dots = axes.scatter([x for _, x, _, _ in sound], [y for _, _, y, _ in sound], c=colours, vmin=0.0, vmax=200.0,
-                        cmap=colormaps["RdYlBu_r"].resampled(64), s=70, edgecolors=DARK, linewidths=0.6, zorder=3)
+                        cmap=colormaps["RdYlBu_r"].resampled(64), s=70, edgecolors=plot.DARK, linewidths=0.6, zorder=3)
     bar = figure.colorbar(dots, ax=axes)
     bar.set_label("force on the wall, % of a rigid rod's", fontsize=9)
     for name, column, values in (("x", drag, [x for _, x, _, _ in sound]), ("y", error, [y for _, _, y, _ in sound])):
-        scale_by_decades(axes, name, values)
+        plot.scale_by_decades(axes, name, values)
         getattr(axes, f"set_{name}label")(f"{axis_title(column)}, median over the cases")
-    write_names(axes, figure, [(law + (f" ({press:.0f} %)" if isfinite(press) else ""), x, y)
-                               for law, x, y, press in sound])
+    plot.write_names(axes, figure, [(law + (f" ({press:.0f} %)" if isfinite(press) else ""), x, y)
+                                    for law, x, y, press in sound])
     lost = [law for law, x, y, _ in points if not (isfinite(x) and isfinite(y))]
     if lost:
-        axes.text(0.01, 0.01, literal(f"no value: {', '.join(lost)}"), transform=axes.transAxes, fontsize=8, color=DARK)
-    grid_lines(axes)
+        axes.text(0.01, 0.01, plot.literal(f"no value: {', '.join(lost)}"), transform=axes.transAxes, fontsize=8,
+                  color=plot.DARK)
+    plot.grid_lines(axes)
     return figure
 
 
@@ -172,10 +158,10 @@ def _dots(question: Question, rows: Sequence[Row], verdicts: Sequence[LawVerdict
     if not panels:
         return None
     laws = [each.law for each in verdicts]
-    figure = new_figure((2.2 + 4.3 * len(panels), LAW_HEIGHT * len(laws) + 1.7), question.title)
+    figure = plot.new_figure((2.2 + 4.3 * len(panels), LAW_HEIGHT * len(laws) + 1.7), question.title)
     for axes, column in zip(figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True):
         _panel(axes, column, case_values(column, rows, laws), verdicts)
-        axes.set_yticks(range(len(laws)), [literal(law) for law in laws], fontsize=8)
+        axes.set_yticks(range(len(laws)), [plot.literal(law) for law in laws], fontsize=8)
         axes.set_ylim(len(laws) - 0.5, -0.5)
     return figure
 
@@ -188,21 +174,22 @@ def _panel(axes: Axes, column: FigureColumn, cases: Mapping[str, Sequence[float]
         values = [column.factor * max(value, least) for value in cases[verdict.law] if isfinite(value)]
         failed = sum(value == inf for value in cases[verdict.law])
         every += values
-        axes.plot(values, [y] * len(values), "o", color=GREY, alpha=0.45, markersize=3, markeredgewidth=0, zorder=2)
+        axes.plot(values, [y] * len(values), "o", color=plot.GREY, alpha=0.45, markersize=3, markeredgewidth=0,
+                  zorder=2)
         middle = column.factor * verdict.figures[column.key].value
         if isfinite(middle):
             every.append(middle)
-            axes.plot([middle], [y], "D", color=BLUE, markersize=6, zorder=4)
+            axes.plot([middle], [y], "D", color=plot.BLUE, markersize=6, zorder=4)
         if failed:
             axes.annotate(f"{failed} failed", (1.0, y), xycoords=("axes fraction", "data"), xytext=(4, 0),
-                          textcoords="offset points", fontsize=7, color=FAILS, va="center")
+                          textcoords="offset points", fontsize=7, color=plot.FAILS, va="center")
     if column.better == ONE:  # by decades, and what is less than `LEAST` at the left edge
-        axes.axvline(column.factor, color=DARK, linestyle="--", linewidth=1.0)
+        axes.axvline(column.factor, color=plot.DARK, linestyle="--", linewidth=1.0)
         axes.set_xscale("log")
         axes.set_xlim(left=0.7 * min([0.1 * column.factor, *every]), right=1.4 * max([column.factor, *every]))
         axes.xaxis.set_major_formatter("{x:g}")
     else:
-        scale_by_decades(axes, "x", every)
+        plot.scale_by_decades(axes, "x", every)
     where = f", {WHERE[column.where]}" if column.where in WHERE else ""
-    axes.set_xlabel(literal(f"{axis_title(column)}{where}"), fontsize=9)
-    grid_lines(axes)
+    axes.set_xlabel(plot.literal(f"{axis_title(column)}{where}"), fontsize=9)
+    plot.grid_lines(axes)

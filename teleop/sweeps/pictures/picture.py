@@ -31,20 +31,7 @@ from teleop.sweeps.pictures.layout import (
     with_unit,
 )
 from teleop.sweeps.table import Table
-from teleop.terminal.plotting import (
-    BLACK,
-    GREY,
-    PALE,
-    PNG,
-    RED,
-    SKY,
-    grid_lines,
-    literal,
-    names_id,
-    need_plot,
-    new_figure,
-    save,
-)
+from teleop.terminal import plotting as plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -113,7 +100,7 @@ def draw_maps(
     cells = len(x.values) * len(y.values)
     sampled = cells > CELLS or all(len(one.x) <= 2 * max(len(x.values), len(y.values)) < cells for one in maps)
     by_status = metric is None and all((one.status != "").all() for one in maps)
-    norm, colours = Normalize(0.0, 1.0), LinearSegmentedColormap.from_list("share", (RED, "#F5EFE6", SKY))
+    norm, colours = Normalize(0.0, 1.0), LinearSegmentedColormap.from_list("share", (plot.RED, "#F5EFE6", plot.SKY))
     if metric is not None:
         values = np.concatenate([one.value for one in maps])
         norm, colours = _norm(values[np.isfinite(values)]), gradient_map()
@@ -138,16 +125,16 @@ def draw_maps(
     shown_words = sorted(drawn, key=[*STATUS, *sorted(drawn)].index)
     handles: list[Any] = [Line2D([], [], marker="s", markersize=9, linestyle="none", color=STATUS.get(word, OTHER))
                           for word in shown_words]
-    labels_shown = [literal(words.get(word, word), most=80) for word in shown_words]
+    labels_shown = [plot.literal(words.get(word, word), most=80) for word in shown_words]
     if edged:
-        handles.append((Patch(color=PALE), Line2D([], [], color=EDGE, linewidth=1.4)))
+        handles.append((Patch(color=plot.PALE), Line2D([], [], color=EDGE, linewidth=1.4)))
         labels_shown.append("boundary" if by_status else "half of the runs end ok")
     if handles:
         figure.legend(handles, labels_shown, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
     if not by_status:
         label = f"share of runs that end {words.get('ok', 'ok')}"
         if metric is not None:
-            label = literal(f"{measured}, median of the runs ok")
+            label = plot.literal(f"{measured}, median of the runs ok")
         figure.colorbar(ScalarMappable(norm, colours), ax=[axes for axes, _ in shown], label=label)
     return ", ".join(f"{most} of {len(knob.values)} values of {knob.name}" for knob in knobs
                      if len(knob.values) > most and not sampled)
@@ -173,7 +160,7 @@ def _place(axes: Axes, x: PlottedKnob, y: PlottedKnob, points: MapPoints, paint:
 
     if sampled:
         axes.scatter(np.array(x.values)[points.x], np.array(y.values)[points.y], s=22.0, c=paint,
-                     edgecolors=BLACK, linewidths=0.3)
+                     edgecolors=plot.BLACK, linewidths=0.3)
         return False
     columns, rows = spread(len(x.values), most), spread(len(y.values), most)
     across = _edges(axes.xaxis, tuple(x.values[i] for i in columns))
@@ -199,7 +186,7 @@ LINES = 7  # at most, in one panel
 
 def draw(
     table: Table, path: Path, kind: str | None = None, *, metric: str | None = None, title: str = "",
-    units: Mapping[str, str] | None = None, words: Mapping[str, str] | None = None, formats: Sequence[str] = PNG,
+    units: Mapping[str, str] | None = None, words: Mapping[str, str] | None = None, formats: Sequence[str] = plot.PNG,
 ) -> list[Path]:
     """Draw `table` into `path` with the suffix of each of `formats`, as `save` does; returns the files.
 
@@ -208,8 +195,8 @@ def draw(
     figure, remarks = picture_of(table, kind, metric, units or {}, words or {})
     ended = ", ".join(f"{count} {status}" for status, count in table.counts().items())
     heading = (title, f"{number_of(len(table), 'row')}: {ended}", *remarks)
-    figure.suptitle(literal(" · ".join(part for part in heading if part)), fontsize=11)
-    return save(figure, path, formats)
+    figure.suptitle(plot.literal(" · ".join(part for part in heading if part)), fontsize=11)
+    return plot.save(figure, path, formats)
 
 
 def picture_of(table: Table, kind: str | None, metric: str | None, units: Mapping[str, str],
@@ -225,7 +212,7 @@ def picture_of(table: Table, kind: str | None, metric: str | None, units: Mappin
     `page`: it is not wider than `WIDEST`, has at most `ALONG` cells along an axis, and colours for any ground. Raises
     `Refused` if the extra is missing or nothing varies.
     """
-    need_plot()
+    plot.need_plot()
     knobs, notes = varying(table, units)
     numeric = [knob.name for knob in knobs if knob.numeric]
     check([knob.name for knob in knobs], numeric, kind, metric, table.metrics)
@@ -242,7 +229,7 @@ def picture_of(table: Table, kind: str | None, metric: str | None, units: Mappin
     columns = min(3, len(panels))
     lines = -(-len(panels) // columns)
     wide = 1.9 + 3.7 * columns + 1.6 * (columns == 1)
-    figure = new_figure((min(wide, WIDEST) if page else wide, 1.2 + (2.6 if page else 3.3) * lines))
+    figure = plot.new_figure((min(wide, WIDEST) if page else wide, 1.2 + (2.6 if page else 3.3) * lines))
     every: Any = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes in every.ravel()[len(panels):]:
         axes.set_axis_off()
@@ -253,7 +240,7 @@ def picture_of(table: Table, kind: str | None, metric: str | None, units: Mappin
         left = draw_maps(figure, shown, table, axes_knobs, metric if kind == "metric" else None, words, measured, page)
     for at, (axes, _) in enumerate(shown):
         if at % columns == 0:
-            axes.set_ylabel(axes_knobs[1].label if kind != "curves" else literal(measured))
+            axes.set_ylabel(axes_knobs[1].label if kind != "curves" else plot.literal(measured))
         if at + columns >= len(panels):  # the lowest of its column, maybe above an empty place
             axes.set_xlabel(axes_knobs[0].label)
             axes.tick_params(axis="x", labelbottom=True)
@@ -314,8 +301,9 @@ def _curves(
             under = 0 if gradient else len(places) - 1 - i  # wider below others, so that equal ones are both seen
             axes.plot(at, five[2], color=colour, marker="o", markersize=3.0 + 0.4 * under if x.numeric else 5.0,
                       linewidth=1.3 + 0.4 * under if x.numeric else 0.0,
-                      gid=names_id(f"{name}{value:.4g}" for value in five[2][np.isfinite(five[2])]) if page else None,
-                      label=literal(name.rstrip(), most=80) or None)
+                      gid=plot.names_id(f"{name}{value:.4g}" for value in five[2][np.isfinite(five[2])])
+                      if page else None,
+                      label=plot.literal(name.rstrip(), most=80) or None)
             bad = np.unique(x.place[rows][~ok])
             if len(bad):  # above the axis, in heights of the panel
                 (crosses,) = axes.plot(at[bad], np.full(len(bad), 0.025 + 0.035 * crossed), color=colour,
@@ -326,11 +314,11 @@ def _curves(
         if x.numeric:
             scale(axes, "x", x.values)
         else:
-            texts = [literal(text_of(value)) for value in x.values]
+            texts = [plot.literal(text_of(value)) for value in x.values]
             long = sum(map(len, texts)) > 36
             axes.set_xticks(where_x, texts, rotation=20.0 if long else 0.0, ha="right" if long else "center")
         axes.set_title(panel.title, fontsize=10)
-        grid_lines(axes)
+        plot.grid_lines(axes)
     scaled, linear = spacing(np.array(every))
     if scaled != "linear":  # the panels share it
         shown[0][0].set_yscale(scaled, **({"linthresh": linear} if scaled == "symlog" else {}))
@@ -346,9 +334,10 @@ def _explain(figure: Figure, shown: list[tuple[Axes, Panel]], table: Table) -> N
     known = {label: handle for axes, _ in shown
              for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     if any(axes.collections for axes, _ in shown):
-        known |= {"quartiles of the seeds": Patch(color=GREY, alpha=0.45), "extremes": Patch(color=GREY, alpha=0.2)}
+        known |= {"quartiles of the seeds": Patch(color=plot.GREY, alpha=0.45),
+                  "extremes": Patch(color=plot.GREY, alpha=0.2)}
     if set(table.counts()) - {"ok"}:
-        known["not every run ok"] = Line2D([], [], marker="x", color=GREY, linestyle="none")
+        known["not every run ok"] = Line2D([], [], marker="x", color=plot.GREY, linestyle="none")
     if known:
         figure.legend([*known.values()], [*known], loc="outside lower center",
                       ncols=min(3 if len(shown) == 1 else 6, len(known)), frameon=False, fontsize=9)

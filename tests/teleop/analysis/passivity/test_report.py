@@ -119,7 +119,7 @@ def test_no_dashed_curve_is_hidden_under_a_solid_one_of_its_colour(
     from teleop.analysis.passivity import command
 
     made: list[Any] = []
-    monkeypatch.setattr(command, "save", lambda figure, *_: made.append(figure) or [])
+    monkeypatch.setattr(command.plot, "save", lambda figure, *_: made.append(figure) or [])
     command.draw(ask(load_scene(scene, law="wave" if scene == "canonical" else "direct")), tmp_path / "p")
     seen = 0
     for axes in made[0].axes:

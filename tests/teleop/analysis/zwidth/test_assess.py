@@ -224,7 +224,7 @@ def test_the_plane_is_drawn_so_that_both_regions_and_both_edges_are_seen(
 ) -> None:
     pytest.importorskip("matplotlib")
     made: list[Any] = []
-    monkeypatch.setattr(teleop.analysis.zwidth.report, "save", lambda figure, *_: made.append(figure) or [])
+    monkeypatch.setattr(teleop.analysis.zwidth.report.plot, "save", lambda figure, *_: made.append(figure) or [])
     PLOTS["plane"](found, tmp_path / "plane", ("png",))
     whole, corner = made[0].axes
     (_, B), (_, K) = corner.get_xlim(), corner.get_ylim()
