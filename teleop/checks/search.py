@@ -24,21 +24,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from teleop import kind
+from teleop.checks import trials
 from teleop.checks.conformance import conditions_of
-from teleop.checks.trials import (
-    LOW,
-    Block,
-    LostTicks,
-    RandomLink,
-    Swing,
-    Tones,
-    admits,
-    books_of,
-    greatest_work,
-    refuse_broken,
-    spread,
-    works_of,
-)
 from teleop.errors import Refused
 from teleop.knob import Knob, knobs_of_fields
 from teleop.law import messages
@@ -80,7 +67,7 @@ class Shaken:
 
     inner: ClassVar[bool] = True  # its plants keep the tick
 
-    environment: Block
+    environment: trials.Block
     path: Reference
 
 
@@ -120,7 +107,8 @@ def try_worst(law: Any, *, runs: int = RUNS, key: str = "", duration: float = DU
     for ledger, goals in GOALS.items():
         if ledger in claims_of(law):
             for goal in goals:
-                worst = _evolve(law, ledger, goal, worst, runs, spread(f"{type(law).__name__}{goal}{key}"), duration)
+                dice = trials.spread(f"{type(law).__name__}{goal}{key}")
+                worst = _evolve(law, ledger, goal, worst, runs, dice, duration)
     return worst
 
 
@@ -133,10 +121,10 @@ def _evolve(law: Any, ledger: str, goal: str, worst: Worst, runs: int, dice: Ite
         parents = tuple([point for _, _, point, _ in best[:PARENTS]])
         point = Point(dice, parents if ran >= RANDOM * runs else ())
         scene = _scene(law, point, duration, cap=None if goal == "E_law" else _cap(point))
-        if scene is None or not admits(claims_of(law)[ledger], scene):
+        if scene is None or not trials.admits(claims_of(law)[ledger], scene):
             continue
         trace = run(scene).trace
-        refuse_broken(scene.law, scene, trace, [ledger])
+        trials.refuse_broken(scene.law, scene, trace, [ledger])
         best.append((_fraction(goal, scene, trace), -number, point, scene))
         best.sort(key=lambda each: each[:2], reverse=True)
         del best[PARENTS:]
@@ -151,20 +139,20 @@ def _evolve(law: Any, ledger: str, goal: str, worst: Worst, runs: int, dice: Ite
 
 def _fraction(goal: str, scene: Scene, trace: Any) -> float:
     """Progress of a run towards breaking a goal."""
-    works = works_of(trace)
+    works = trials.works_of(trace)
     if goal == "E_law":
-        return float((-trace["E_law"] / (greatest_work(works) + LOW)).max())
+        return float((-trace["E_law"] / (trials.greatest_work(works) + trials.LOW)).max())
     late = len(works[0]) // 2  # what goes in as a run begins hides what comes out later
     if goal == "books":
-        return max(float(-books[late:].min() / (work.sum() + LOW)) for books, work in
-                   zip(books_of(scene.law, scene, trace).values(), works, strict=True))
-    return float(-trace[goal][late:].min() / (sum(work.sum() for work in works) + LOW))
+        return max(float(-books[late:].min() / (work.sum() + trials.LOW)) for books, work in
+                   zip(trials.books_of(scene.law, scene, trace).values(), works, strict=True))
+    return float(-trace[goal][late:].min() / (sum(work.sum() for work in works) + trials.LOW))
 
 
 def _share_of_bound(scene: Scene, trace: Any) -> float:
     """The least E_port over what may be given out: the seed energy and, of a law with books, one tick's work."""
-    bound = seed_energy(scene.law, scene.dt, scene.axes) + greatest_work(works_of(trace))
-    return min(float((trace["E_port"] / (bound + LOW)).min()), 0.0)
+    bound = seed_energy(scene.law, scene.dt, scene.axes) + trials.greatest_work(trials.works_of(trace))
+    return min(float((trace["E_port"] / (bound + trials.LOW)).min()), 0.0)
 
 
 def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | None:
@@ -180,17 +168,18 @@ def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | 
         "law": tuned, "energy": True, "duration": duration, "x_limit": 1e3, "cap": cap,
         "axes": 3 if point.at("axes") > 0.7 else 1, "observer": None if point.at("observer") < 0.5 else 200.0,
         "master": MassDamper(mass=master, damping=point.beyond("b_m", 2.0)),
-        "hand": Swing(mass=point.beyond("m_h", 1.0), k=point.between("k_h", 10.0, RESOLVED * master / held_m**2),
+        "hand": trials.Swing(mass=point.beyond("m_h", 1.0), k=point.between("k_h", 10.0, RESOLVED * master / held_m**2),
                       d=point.between("d_h", 0.1, RESOLVED * master / held_m),
-                      reference=Tones(amplitude=size, rate=point.between("rate", 3.0, 130.0))),
+                      reference=trials.Tones(amplitude=size, rate=point.between("rate", 3.0, 130.0))),
         "left_out_m": lost_m}
     if not hasattr(law, "slave"):
         return Scene(**one_end)
-    block: Any = Block(k=point.between("k_e", 10.0, RESOLVED * slave / held_s**2),
-                       d=point.beyond("d_e", min(20.0, RESOLVED * slave / held_s)),
-                       at=size * (point.at("at") - 0.3))
+    block: Any = trials.Block(k=point.between("k_e", 10.0, RESOLVED * slave / held_s**2),
+                              d=point.beyond("d_e", min(20.0, RESOLVED * slave / held_s)),
+                              at=size * (point.at("at") - 0.3))
     if point.at("shaken") > 0.7:
-        path = Tones(amplitude=point.between("shaken_by", 0.001, 0.2), rate=point.between("shaken_at", 3.0, 300.0))
+        path = trials.Tones(amplitude=point.between("shaken_by", 0.001, 0.2),
+                            rate=point.between("shaken_at", 3.0, 300.0))
         block = Shaken(environment=block, path=path)
     scaling = None
     if point.at("scaling") > 0.7:
@@ -198,7 +187,7 @@ def _scene(law: Any, point: Point, duration: float, cap: Cap | None) -> Scene | 
     return _meet_conditions(Scene(
         **one_end, slave=MassDamper(mass=slave, damping=point.beyond("b_s", 2.0)),
         environment=block if point.at("wall") > 0.4 else None, scaling=scaling, start_s=point.beyond("apart", 0.02),
-        link=RandomLink(ticks=int(point.between("delay", 1.0, 150.0)) - 1, loss=point.beyond("loss", 0.5),
+        link=trials.RandomLink(ticks=int(point.between("delay", 1.0, 150.0)) - 1, loss=point.beyond("loss", 0.5),
                         jitter=int(point.beyond("jitter", 20.0)), copies=point.beyond("copies", 0.3),
                         key=point.at("key"), blackout=int(point.beyond("blackout", 150.0))),
         playout=_playout(law, point), left_out_s=lost_s,
@@ -211,12 +200,12 @@ def _playout(law: Any, point: Point) -> Playout:
     return (Zero(), again, Fixed(0.02))[int(point.at("playout") * 2.999)]
 
 
-def _lost_ticks(point: Point, name: str) -> LostTicks | None:
+def _lost_ticks(point: Point, name: str) -> trials.LostTicks | None:
     share = point.beyond(name, 0.3, 0.7)
-    return LostTicks(share=share, key=point.at("key")) if share > 0.0 else None
+    return trials.LostTicks(share=share, key=point.at("key")) if share > 0.0 else None
 
 
-def _longest_held(lost: LostTicks | None, end: int, ticks: int) -> float:
+def _longest_held(lost: trials.LostTicks | None, end: int, ticks: int) -> float:
     """The longest time that an end which leaves out these ticks holds a force, s."""
     return DT if lost is None else DT * longest(np.flatnonzero(~lost.left_out(end, ticks, 0)), ticks)
 

@@ -12,18 +12,8 @@ from teleop.scene.scene import Scene
 from teleop.simulation.notes import untuned
 from teleop.simulation.result import head, law_with_gains, parameters
 from teleop.sweeps.grid import grid, parse_axes, parse_ranges, sampled
+from teleop.sweeps.pictures import report
 from teleop.sweeps.pictures.picture import check
-from teleop.sweeps.pictures.report import (
-    PictureRequest,
-    joined,
-    limits_of,
-    report_of,
-    sentence_of,
-    status_rows,
-    summary_of,
-    with_picture,
-    write,
-)
 from teleop.sweeps.runner import Sweep, plan_sweep
 from teleop.sweeps.runner import carry_out as run_rows
 from teleop.sweeps.store import Store
@@ -56,7 +46,7 @@ class SweepOutcome(NamedTuple):
         seeds, knobs = plan.grid.seeds, plan.grid.knobs
         return {
             **head(status="interrupted" if self.interrupted else "done", scene=plan.scene, mode="sweep",
-                   sentence=sentence_of(self.table, len(plan.grid)), parameters=in_common(plan.first, knobs),
+                   sentence=report.sentence_of(self.table, len(plan.grid)), parameters=in_common(plan.first, knobs),
                    seed=seeds[0] if len(seeds) == 1 else None, command=command,
                    dt=None if "dt" in knobs else plan.first.dt_ns / 1e9, also=compilers),
             **plan.definition(), "rows": len(plan.grid), "done": len(self.table), "ran": self.ran,
@@ -69,8 +59,8 @@ class SweepOutcome(NamedTuple):
 
     def write(self, command: Sequence[str]) -> dict[str, Any]:
         """Write summary.json, which says how far the sweep has come and how, into its folder; what it holds now."""
-        document = joined(self.summary(command), summary_of(self.folder))
-        write(document, self.folder)
+        document = report.joined(self.summary(command), report.summary_of(self.folder))
+        report.write(document, self.folder)
         return document
 
     def text(self) -> str:
@@ -80,7 +70,7 @@ class SweepOutcome(NamedTuple):
         count = len(self.plan.grid)
         turned = ", ".join(self.plan.grid.knobs) or "seeds"
         rows = [("sweep", f"{self.plan.scene}, {grouped(count)} {plural(count, 'row')} of {turned}"),
-                *[("law", law) for law in self._laws()], *status_rows(self.table)]
+                *[("law", law) for law in self._laws()], *report.status_rows(self.table)]
         nothing_left = not self.ran and len(self.table) == len(self.plan.grid)
         rows.append(("engine", "none, for no row was left to run: summary.json says which ran them" if nothing_left else
                      f"{self.plan.engine}: {self.plan.why}{threads}{rate}"))
@@ -89,7 +79,7 @@ class SweepOutcome(NamedTuple):
         if self.cluster is not None:
             rows.append(("cluster", f"{self.cluster[0]}, rows by {self.cluster[1]} of its workers"))
         rows += [("note", note) for scene in (self.plan.first, *self.plan.others) for note in untuned(scene)]
-        return f"{facts(rows)}\n{self.table.text(all_by=report_of(self.folder, len(self.table)))}"
+        return f"{facts(rows)}\n{self.table.text(all_by=report.report_of(self.folder, len(self.table)))}"
 
     def _laws(self) -> list[str]:
         """Each law of the rows with its gains; those that the sweep turns have their values in the table."""
@@ -100,7 +90,7 @@ class SweepOutcome(NamedTuple):
 
 def command(args: Namespace) -> Answer:
     """Carry out `teleop sweep`: run the rows, write summary.json and draw what is asked for. Raises `Refused`."""
-    picture = PictureRequest(args.picture, args.metric)
+    picture = report.PictureRequest(args.picture, args.metric)
     formats = asked_formats(args, wanted=any(picture))
     plan = _plan(args)
     if formats:
@@ -113,7 +103,7 @@ def command(args: Namespace) -> Answer:
     if swept.interrupted:
         answer = answer._replace(text=f"{answer.text}\ninterrupted: the same command goes on from here")
     if formats:
-        answer = with_picture(answer, swept.table, swept.folder, summary, picture, formats)
+        answer = report.with_picture(answer, swept.table, swept.folder, summary, picture, formats)
     return answer._replace(code=INTERRUPTED if swept.interrupted else DONE)
 
 
@@ -169,7 +159,7 @@ def carry_out(plan: Sweep, folder: Path, *, cluster: str | None, workers: int | 
                 line.end()
         seconds = clock() - began
     where = None if pool is None else (pool.address, len(pool.workers))
-    limits = limits_of(plan.first, plan.grid.knobs)
+    limits = report.limits_of(plan.first, plan.grid.knobs)
     return SweepOutcome(plan, table, folder, interrupted, seconds, len(table) - before, limits, where)
 
 
@@ -182,7 +172,7 @@ def in_common(first: Scene, turned: Collection[str]) -> dict[str, object]:
     return shared
 
 
-def _check_picture(plan: Sweep, request: PictureRequest) -> None:
+def _check_picture(plan: Sweep, request: report.PictureRequest) -> None:
     """Refuse the picture of a sweep whose grid cannot give one, before anything is run."""
     several = {name: [point[i] for point in points] for names, points in plan.grid.axes for i, name in enumerate(names)
                if any(point[i] != points[0][i] for point in points)}

@@ -15,20 +15,8 @@ from math import inf, isfinite, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.studies.compare import figures
 from teleop.studies.compare.cases import Comparison
-from teleop.studies.compare.figures import (
-    BAD,
-    FREE,
-    ONE,
-    TOUCHED,
-    FigureColumn,
-    LawVerdict,
-    Row,
-    axis_title,
-    case_values,
-    columns_of,
-    endings,
-)
 from teleop.terminal import plotting as plot
 
 if TYPE_CHECKING:
@@ -37,9 +25,9 @@ if TYPE_CHECKING:
 
 LAW_HEIGHT = 0.27  # inches a law
 ACROSS, WIDEST = 3, 8.4  # blocks of the status map side by side: at most, and inches
-STATUS = {"ok": plot.SKY, **dict.fromkeys(BAD, plot.YELLOW), "unstable": plot.PURPLE,
+STATUS = {"ok": plot.SKY, **dict.fromkeys(figures.BAD, plot.YELLOW), "unstable": plot.PURPLE,
           "diverged": plot.FAILS, "refused": plot.PALE}
-WHERE = {FREE: "nothing touched", TOUCHED: "in contact"}
+WHERE = {figures.FREE: "nothing touched", figures.TOUCHED: "in contact"}
 LEAST = 1e-4  # share of the rigid rod's force, or of the environment's stiffness, from which on an axis goes
 
 
@@ -59,7 +47,7 @@ DOTS = (
 )
 
 
-def draw(rows: Sequence[Row], verdicts: Sequence[LawVerdict], comparison: Comparison, folder: Path,
+def draw(rows: Sequence[figures.Row], verdicts: Sequence[figures.LawVerdict], comparison: Comparison, folder: Path,
          formats: Sequence[str] = plot.PNG) -> list[Path]:
     """Draw every figure that the rows have something for into `folder`; returns the files."""
     links, environments = ([each.name for each in some] for some in (comparison.links, comparison.environments))
@@ -78,8 +66,8 @@ def draw(rows: Sequence[Row], verdicts: Sequence[LawVerdict], comparison: Compar
     return files
 
 
-def status_map(rows: Sequence[Row], verdicts: Sequence[LawVerdict], links: Sequence[str], environments: Sequence[str]
-               ) -> Figure:
+def status_map(rows: Sequence[figures.Row], verdicts: Sequence[figures.LawVerdict], links: Sequence[str],
+               environments: Sequence[str]) -> Figure:
     """A map: laws down, links across in each environment's block."""
     from matplotlib.patches import Patch
 
@@ -92,7 +80,7 @@ def status_map(rows: Sequence[Row], verdicts: Sequence[LawVerdict], links: Seque
     every = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
     for axes in every[len(environments):]:
         axes.set_visible(False)
-    ended = {law: endings(row for row in rows if row["law"] == law) for law in laws}
+    ended = {law: figures.endings(row for row in rows if row["law"] == law) for law in laws}
     for axes, environment in zip(every, environments, strict=False):
         for y, law in enumerate(laws):
             for x, link in enumerate(links):
@@ -121,11 +109,11 @@ def _square(x: int, y: int, colour: str) -> Any:
     return Rectangle((x - 0.45, y - 0.45), 0.9, 0.9, color=colour, linewidth=0)
 
 
-def tracking_plot(verdicts: Sequence[LawVerdict]) -> Figure | None:
+def tracking_plot(verdicts: Sequence[figures.LawVerdict]) -> Figure | None:
     """Tracking error against free-space drag; the colour is the force on the wall against a rigid rod's."""
     from matplotlib import colormaps
 
-    drag, error, wall = [columns_of(verdicts)[key] for key in ("felt_drag", "x_err_rms", "wall_late")]
+    drag, error, wall = [figures.columns_of(verdicts)[key] for key in ("felt_drag", "x_err_rms", "wall_late")]
     points = [(each.law, drag.factor * each.figures["felt_drag"].value, error.factor * each.figures["x_err_rms"].value,
                wall.factor * each.figures["wall_late"].value) for each in verdicts]
     sound = [each for each in points if isfinite(each[1]) and isfinite(each[2])]
@@ -140,7 +128,7 @@ def tracking_plot(verdicts: Sequence[LawVerdict]) -> Figure | None:
     bar.set_label("force on the wall, % of a rigid rod's", fontsize=9)
     for name, column, values in (("x", drag, [x for _, x, _, _ in sound]), ("y", error, [y for _, _, y, _ in sound])):
         plot.scale_by_decades(axes, name, values)
-        getattr(axes, f"set_{name}label")(f"{axis_title(column)}, median over the cases")
+        getattr(axes, f"set_{name}label")(f"{figures.axis_title(column)}, median over the cases")
     plot.write_names(axes, figure, [(law + (f" ({press:.0f} %)" if isfinite(press) else ""), x, y)
                                     for law, x, y, press in sound])
     lost = [law for law, x, y, _ in points if not (isfinite(x) and isfinite(y))]
@@ -151,26 +139,26 @@ def tracking_plot(verdicts: Sequence[LawVerdict]) -> Figure | None:
     return figure
 
 
-def _dots(question: Question, rows: Sequence[Row], verdicts: Sequence[LawVerdict]) -> Figure | None:
+def _dots(question: Question, rows: Sequence[figures.Row], verdicts: Sequence[figures.LawVerdict]) -> Figure | None:
     """A panel for each column: by law a dot for each case, the median, and the number of cases that failed."""
-    panels = [columns_of(verdicts)[key] for key in question.keys
+    panels = [figures.columns_of(verdicts)[key] for key in question.keys
               if any(not isnan(each.figures[key].value) for each in verdicts)]
     if not panels:
         return None
     laws = [each.law for each in verdicts]
     figure = plot.new_figure((2.2 + 4.3 * len(panels), LAW_HEIGHT * len(laws) + 1.7), question.title)
     for axes, column in zip(figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True):
-        _panel(axes, column, case_values(column, rows, laws), verdicts)
+        _panel(axes, column, figures.case_values(column, rows, laws), verdicts)
         axes.set_yticks(range(len(laws)), [plot.literal(law) for law in laws], fontsize=8)
         axes.set_ylim(len(laws) - 0.5, -0.5)
     return figure
 
 
-def _panel(axes: Axes, column: FigureColumn, cases: Mapping[str, Sequence[float]], verdicts: Sequence[LawVerdict]
-           ) -> None:
+def _panel(axes: Axes, column: figures.FigureColumn, cases: Mapping[str, Sequence[float]],
+           verdicts: Sequence[figures.LawVerdict]) -> None:
     every: list[float] = []
     for y, verdict in enumerate(verdicts):
-        least = LEAST if column.better == ONE else -inf
+        least = LEAST if column.better == figures.ONE else -inf
         values = [column.factor * max(value, least) for value in cases[verdict.law] if isfinite(value)]
         failed = sum(value == inf for value in cases[verdict.law])
         every += values
@@ -183,7 +171,7 @@ def _panel(axes: Axes, column: FigureColumn, cases: Mapping[str, Sequence[float]
         if failed:
             axes.annotate(f"{failed} failed", (1.0, y), xycoords=("axes fraction", "data"), xytext=(4, 0),
                           textcoords="offset points", fontsize=7, color=plot.FAILS, va="center")
-    if column.better == ONE:  # by decades, and what is less than `LEAST` at the left edge
+    if column.better == figures.ONE:  # by decades, and what is less than `LEAST` at the left edge
         axes.axvline(column.factor, color=plot.DARK, linestyle="--", linewidth=1.0)
         axes.set_xscale("log")
         axes.set_xlim(left=0.7 * min([0.1 * column.factor, *every]), right=1.4 * max([column.factor, *every]))
@@ -191,5 +179,5 @@ def _panel(axes: Axes, column: FigureColumn, cases: Mapping[str, Sequence[float]
     else:
         plot.scale_by_decades(axes, "x", every)
     where = f", {WHERE[column.where]}" if column.where in WHERE else ""
-    axes.set_xlabel(plot.literal(f"{axis_title(column)}{where}"), fontsize=9)
+    axes.set_xlabel(plot.literal(f"{figures.axis_title(column)}{where}"), fontsize=9)
     plot.grid_lines(axes)
