@@ -11,6 +11,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 
 from teleop.protocol.secure.keys import Key, keygen, load_key
+from teleop.protocol.secure.secure_link import SecureLink
 
 Row = tuple[str, str, str]
 SIZE, PACKETS = 100, 20_000
@@ -19,8 +20,6 @@ _HERE, _THERE = ("192.0.2.1", 1), ("192.0.2.2", 2)
 
 def secure(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked): medians over `rounds`."""
-    from teleop.protocol.secure.secure_link import SecureLink
-
     def associated(mine: Key, theirs: Key) -> tuple[SecureLink, SecureLink]:
         caller = SecureLink.calling(mine, theirs.fingerprint, _THERE)
         listener = SecureLink.listening(theirs, mine.fingerprint, bytes(32))

@@ -32,6 +32,8 @@ from teleop.bench.laws import MEASURES, kernel_of, seconds
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
+from teleop.simulation.bodies import reference_samples
+from teleop.simulation.plan import link_plans
 from teleop.sweeps.grid import grid
 from teleop.sweeps.runner import sweep as run_sweep
 
@@ -156,8 +158,6 @@ def _seconds(call: Callable[[], Any]) -> float:
 
 def _theirs(program: Any, scene: Scene) -> Callable[[], Any]:
     """The same row by the C program."""
-    from teleop.simulation.bodies import reference_samples
-    from teleop.simulation.plan import link_plans
     from teleop.sweeps.kernels.kernel import LinkSchedule
 
     law, hand, wall, slave = scene.law, scene.hand, scene.environments[0], scene.slave

@@ -26,7 +26,10 @@ from teleop.live.net.wire import DRAIN, Wire, bind_udp
 from teleop.live.process.realtime import SPIN_NS
 from teleop.live.process.ticker import Alarm
 from teleop.protocol.manifest import manifest_of
+from teleop.protocol.packet import Kind, Packet, encode
 from teleop.scene.library import ROOT
+from teleop.scene.loading import load_scene
+from teleop.scene.scene import both_ends
 
 SOURCES = Path(__file__).with_name("c")
 
@@ -147,10 +150,6 @@ def relays(c: str, folder: Path, rounds: int) -> list[Row]:
 
 def datagrams(folder: Path, count: int) -> None:
     """The packets that the two ends of a session send, in the form that the load reads: `fwd` and `bwd`."""
-    from teleop.protocol.packet import Kind, Packet, encode
-    from teleop.scene.loading import load_scene
-    from teleop.scene.scene import both_ends
-
     scene = both_ends(load_scene(SCENE, link=f"delay({DELAY})"))
     ways = {"fwd": (Kind.HELLO, Kind.FORTH), "bwd": (Kind.START, Kind.BACK)}
     for name, (control, message) in ways.items():

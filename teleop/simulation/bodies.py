@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from teleop.errors import Refused, number_of
 from teleop.physics.path import Blocks, Path
+from teleop.physics.plant import Force, MassDamper, Move, Plant, bound, free_space, grip
 from teleop.scene.parts import Environment, Reference
 from teleop.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from teleop.physics.plant import Force, MassDamper, Move, Plant
-
 
 WHOLE = 3_600_000  # ticks, an hour at 1 kHz: so much of a reference that is sampled as a whole, before a run begins
 
@@ -74,8 +71,6 @@ def master_coefficients(scene: Scene) -> tuple[Any, ...]:
     With the hand gripped to it, or alone. An axis that no hand holds beside others that one does has a grip of no mass,
     no stiffness and no damping, which is the same motion.
     """
-    from teleop.physics.plant import free_space, grip
-
     dt = scene.dt_ns / 1e9
 
     def coefficients(body: MassDamper, hand: tuple[float, float, float] | None) -> Any:
@@ -142,8 +137,6 @@ def _slave(scene: Scene, body: MassDamper, environment: Environment | None, as_i
     if body.friction > 0.0 or (still is not None and not hasattr(still, "plant")):
         plant = _integrated(scene, body, still)
     elif still is None:
-        from teleop.physics.plant import free_space
-
         plant = free_space(body, dt)
     else:
         plant = still.plant(body, dt)
@@ -169,8 +162,6 @@ def _integrated(scene: Scene, body: MassDamper, environment: Any) -> Plant:
 
 def with_inner(plant: Plant) -> Plant:
     """A plant without an inner state, called like those that have one."""
-    from teleop.physics.plant import bound
-
     return plant._replace(move=bound(_move_beside, plant.move), force=bound(_force_beside, plant.force), start=())
 
 

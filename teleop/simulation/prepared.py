@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from teleop.physics.plant import Plant
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples, slave_plants
 from teleop.simulation.rest import Still, still
 from teleop.simulation.source import loop_of
 from teleop.simulation.structure import Structure, columns, numbers_of, structure_of
-
-if TYPE_CHECKING:
-    from teleop.physics.plant import Plant
 
 
 def prepare(scene: Scene, bodies: Bodies | None = None) -> Prepared:

@@ -14,6 +14,7 @@ from types import CodeType, FunctionType
 from typing import Any, NamedTuple
 
 from teleop.law import messages
+from teleop.physics.plant import grip_force, move_free, move_gripped
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.specialise import Specialised, specialise
@@ -110,8 +111,6 @@ def _records(run: Run) -> Iterator[Record]:
 
 def functions(scene: Scene) -> dict[str, Any]:
     """Functions that the lines of a scene find by name: its law's, its devices' and its master's."""
-    from teleop.physics.plant import grip_force, move_free, move_gripped
-
     table: dict[str, Any] = {"grip_force": grip_force, "move_free": move_free, "move_gripped": move_gripped}
     structure, law = structure_of(scene), scene.laws[0]
     if scene.slave is None:

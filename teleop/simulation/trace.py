@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from teleop.errors import NamedValues
+from teleop.physics.plant import grip_force
 from teleop.simulation.bodies import master_coefficients
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.structure import SENSED
@@ -208,8 +209,6 @@ def _of_axes(count: int, axes: int) -> NDArray[np.float64]:
 
 def _hand_force(prepared: Prepared, table: _Table, *, known: bool) -> NDArray[Any]:
     """f_h of a master without a force sensor, worked out after the run from what it recorded; NaN if not `known`."""
-    from teleop.physics.plant import grip_force
-
     scene = prepared.scene
     out = _of_axes(len(table), scene.axes)
     if not known:

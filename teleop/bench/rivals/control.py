@@ -13,8 +13,11 @@ from typing import Any
 import numpy as np
 
 from teleop.bench.rivals.rival import Rival, delay_ticks, exact_positions, library, parts
+from teleop.physics.contact import move_wall
+from teleop.physics.plant import move_gripped
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
+from teleop.simulation.bodies import exact_bodies, reference_samples
 
 
 def rival() -> Rival:
@@ -32,10 +35,6 @@ def position_error(ct: Any, scene: Scene) -> float:
 
 def response(ct: Any, scene: Scene) -> Callable[[], Any]:
     """A run of the scene: it returns the positions x_m, x_s at the ticks."""
-    from teleop.physics.contact import move_wall
-    from teleop.physics.plant import move_gripped
-    from teleop.simulation.bodies import exact_bodies, reference_samples
-
     law, *_ = parts(scene)
     lag, dt = delay_ticks(scene), scene.dt
     b, K, B, root = law.b, law.K, law.B, sqrt(2.0 * law.b)

@@ -19,8 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from teleop.bench.rivals.rival import Rival, delay_ticks, exact_positions, parts, stiffnesses
+from teleop.physics.plant import grip, linear
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
+from teleop.simulation.bodies import reference_samples
 
 Move = Callable[[Any, Any, Any], tuple[Any, Any]]
 
@@ -30,8 +32,6 @@ def located(scene: Scene, k_e: Any) -> Move:
 
     A row that changes to and fro within one tick is missed; the canonical scene has none.
     """
-    from teleop.physics.plant import linear
-
     _, _, surface, body = parts(scene)
     dt, d, n = scene.dt, surface.d, len(k_e)
     free = np.array(linear(body.mass, body.damping, 0.0, dt))[:, None]
@@ -189,9 +189,6 @@ class MasterStep(NamedTuple):
 
 def master(scene: Scene) -> MasterStep:
     """The master's step over a tick."""
-    from teleop.physics.plant import grip
-    from teleop.simulation.bodies import reference_samples
-
     law, hand, _, _ = parts(scene)
     g = grip(scene.master, hand.mass, hand.k, hand.d, scene.dt)
     r = np.asarray((reference_samples(scene) or ())[0])
