@@ -139,8 +139,7 @@ def score_changes(tuned: Tuned, changes: Sequence[Mapping[str, Any]], *, tasks: 
 
 def _jumps(law: LawAdvice) -> Jumps:
     """The jumps of the force at the hand, in runs of the scene with the seeds that the law was judged by."""
-    tuned = law.tuned
-    assert tuned is not None
+    tuned = law.search
     scene = load_scene(tuned.scene, **tuned.knobs)
     window = max(1, round(YIELDS * 1e9 / scene.dt_ns))
     tick = message = within = 0.0
@@ -165,8 +164,7 @@ def _greatest(force: Any, ticks: int) -> float:
 
 def _margins(law: LawAdvice, scene: Scene, ways: tuple[OneWay, OneWay], workers: int | None) -> tuple[LawMargins, int]:
     """Try stiffer walls and longer delays with the best gains, each once; returns the number of rows run too."""
-    tuned = law.tuned
-    assert tuned is not None
+    tuned = law.search
     rows = 0
     most = {"wall": (0.0, ""), "delay": (0.0, "")}
     k_e, link, lag = scene.knobs.get("k_e"), tuned.fixed.get("link"), max(way.median for way in ways)
@@ -191,8 +189,7 @@ def _margins(law: LawAdvice, scene: Scene, ways: tuple[OneWay, OneWay], workers:
 def _other_playouts(law: LawAdvice, workers: int | None
                     ) -> tuple[tuple[tuple[str, Score, tuple[str, ...]], ...], int]:
     """Score the best gains of a law of waves with other playouts; returns the number of rows run too."""
-    tuned = law.tuned
-    assert tuned is not None
+    tuned = law.search
     if not load_scene(tuned.scene, **tuned.knobs).has_waves or "playout" not in tuned.names:
         return (), 0
     scores, rows = score_changes(tuned, [{"playout": playout} for playout in OTHERS], workers=workers)

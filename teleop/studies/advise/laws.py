@@ -127,6 +127,12 @@ class LawAdvice:
     margins: LawMargins | None = None
 
     @property
+    def search(self) -> Tuned:
+        """The result of its search, of a law that was tuned."""
+        assert self.tuned is not None
+        return self.tuned
+
+    @property
     def value(self) -> float:
         """Value of the objective; inf of a law that keeps the constraints nowhere."""
         return self.tuned.score.value if self.tuned is not None and self.tuned.feasible else float("inf")
@@ -152,14 +158,13 @@ class LawAdvice:
 
 def gains(law: LawAdvice) -> str:
     """The parameters, with their units, and the playout."""
-    assert law.tuned is not None
     texts = []
-    for name, value in law.tuned.best.items():
+    for name, value in law.search.best.items():
         if name == "playout":
             continue
         knob = law.knobs[name.removeprefix("law.")].knob
         texts.append(f"{name.removeprefix('law.')} = {value:g}{' ' + knob.unit if knob.unit not in ('', '1') else ''}")
-    playout = law.tuned.best.get("playout")
+    playout = law.search.best.get("playout")
     return ", ".join(texts) + (f", playout {playout}" if playout else "")
 
 

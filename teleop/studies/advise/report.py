@@ -169,8 +169,7 @@ def _baseline_text(advice: Advice) -> str:
 
 
 def _take(advice: Advice, best: LawAdvice) -> list[tuple[str, str]]:
-    assert best.tuned is not None
-    score = best.tuned.score
+    score = best.search.score
     rows = [("take", f"{best.law} with {gains(best)}"), ("expect", "; ".join(_effects(best)) + _means(best))]
     if len(score.values) > 1:
         rows.append(("objective", f"{score.value:.3f} over {len(score.values)} seeds that the search has not seen; "
@@ -184,8 +183,8 @@ def _take(advice: Advice, best: LawAdvice) -> list[tuple[str, str]]:
                               f"{si(YIELDS, 's')}{over}"))
     if best.margins is not None:
         rows.append(("margin", _margin(best)))
-    if best.tuned.linear is not None and not best.tuned.linear.why:
-        rows.append(("loop", f"linear: {linear_text(best.tuned.linear)}"))
+    if best.search.linear is not None and not best.search.linear.why:
+        rows.append(("loop", f"linear: {linear_text(best.search.linear)}"))
     rows.append(("promises", promise(best)))
     rows += [("but", sentence) for sentence in best.broken]
     alike = advice.alike()
@@ -210,20 +209,17 @@ def _take(advice: Advice, best: LawAdvice) -> list[tuple[str, str]]:
 
 def _means(law: LawAdvice) -> str:
     """A note on the seeds behind the figures, where the link draws random numbers."""
-    assert law.tuned is not None
-    count = len(law.tuned.score.values)
+    count = len(law.search.score.values)
     return f" (means over {count} seeds, of which one run has its own)" if count > 1 else ""
 
 
 def _short(law: LawAdvice) -> str:
-    assert law.tuned is not None
     return " ".join(f"{name.removeprefix('law.')}={value:g}" if isinstance(value, float) else str(value)
-                    for name, value in law.tuned.best.items())
+                    for name, value in law.search.best.items())
 
 
 def _effects(law: LawAdvice) -> list[str]:
-    assert law.tuned is not None
-    score, baseline = law.tuned.score, law.tuned.baseline
+    score, baseline = law.search.score, law.search.baseline
     effects = []
     if (error := figure(score, SCENE, "x_err_rms")) is not None:
         effects.append(f"{si(error, 'm')} rms of tracking error")
@@ -301,8 +297,7 @@ def avoid(advice: Advice) -> list[str]:
 
 def _against(law: LawAdvice, best: LawAdvice | None) -> list[str]:
     """The terms in which a law is clearly worse than the best, in the words of an engineer."""
-    assert law.tuned is not None
-    score, baseline = law.tuned.score, law.tuned.baseline
+    score, baseline = law.search.score, law.search.baseline
     steady = "" if baseline.steady is None else f" of {si(baseline.steady, 'N')}"
     words = {
         "tracking": f"tracks poorly, {_si(score, SCENE, 'x_err_rms')} rms",
@@ -431,13 +426,12 @@ def _laws(axes: Axes, advice: Advice) -> None:
     names = [name for name in TERMS if any(each.tuned is not None and name in each.tuned.score.terms for each in laws)]
     high = 0.8 / max(1, len(names))
     for y, law in enumerate(laws):
-        assert law.tuned is not None
-        if not law.tuned.feasible:
-            axes.text(0.02, y, plot.literal(f"infeasible: {law.tuned.score.broken}", most=70), va="center", fontsize=8,
+        if not law.search.feasible:
+            axes.text(0.02, y, plot.literal(f"infeasible: {law.search.score.broken}", most=70), va="center", fontsize=8,
                       color=plot.RED)
             continue
         for i, name in enumerate(names):
-            value = law.tuned.score.terms.get(name)
+            value = law.search.score.terms.get(name)
             if value is not None:
                 axes.barh(y - 0.4 + (i + 0.5) * high, min(value, MOST), height=high, color=TERMS[name][0],
                           label=TERMS[name][1] if law is _first(laws) else None)
