@@ -120,7 +120,8 @@ def _evolve(law: Any, ledger: str, goal: str, worst: Worst, runs: int, dice: Ite
     for number in range(4 * runs):  # of points whose law cannot be had there is no run
         parents = tuple([point for _, _, point, _ in best[:PARENTS]])
         point = Point(dice, parents if ran >= RANDOM * runs else ())
-        scene = _scene(law, point, duration, cap=None if goal == "E_law" else _cap(point))
+        capped = goal != "E_law" and point.at("cap") > 0.7
+        scene = _scene(law, point, duration, Cap(f_max=point.between("f_max", 0.1, 100.0)) if capped else None)
         if scene is None or not trials.admits(claims_of(law)[ledger], scene):
             continue
         trace = run(scene).trace
@@ -208,10 +209,6 @@ def _lost_ticks(point: Point, name: str) -> trials.LostTicks | None:
 def _longest_held(lost: trials.LostTicks | None, end: int, ticks: int) -> float:
     """The longest time that an end which leaves out these ticks holds a force, s."""
     return DT if lost is None else DT * longest(np.flatnonzero(~lost.left_out(end, ticks, 0)), ticks)
-
-
-def _cap(point: Point) -> Cap | None:
-    return Cap(f_max=point.between("f_max", 0.1, 100.0)) if point.at("cap") > 0.7 else None
 
 
 def _with_knobs(law: Any, point: Point) -> Any:

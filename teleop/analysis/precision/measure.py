@@ -131,7 +131,7 @@ def _rubs(scene: Scene) -> bool:
 
 
 def measure(
-    scene: Scene, *, seed: int = 0, clock: Clock, rounds: int | None = None, show: Show | None = None
+    scene: Scene, *, seed: int = 0, clock: Clock, rounds: int | None = None, show: Show = lambda *_: None
 ) -> Precision:
     """Compare every contender on `scene`.
 
@@ -141,7 +141,6 @@ def measure(
     """
     _check(one_loop(scene), rounds)
     everyone = list(contenders(scene))
-    show = show or _quiet
     share = 0.1 if has_closed_form(scene) else 0.5  # of the progress, for the reference
     began = clock()
     truth = truth_of(scene, seed, clock, patient=rounds is not None, show=lambda part, text: show(share * part, text))
@@ -177,7 +176,8 @@ def measure(
     return Precision(
         scene=scene, seed=seed, rounds=len(times[everyone[0].key]), truth=truth, contacts=len(touches),
         step_ns=step_costs([c for c in chosen if c is everyone[0] or c.key == EULER], scene, trace, clock, 1000, 15),
-        entries=verdicts([_timed(entries[c.key], times[c.key]) for c in chosen], truth.off, reference.status),
+        entries=verdicts([replace(entries[c.key], ns_per_tick=median(times[c.key]), runs=len(times[c.key]))
+                          for c in chosen], truth.off, reference.status),
         along=along, left_out={**unfit(scene), **slow}, too_slow=frozenset(slow),
     )
 
@@ -209,10 +209,6 @@ def verdicts(entries: Sequence[Entry], off: Mapping[str, float] | None = None, s
         if any(beats(o, e) for o in entries) else e
         for e in entries
     ]
-
-
-def _quiet(part: float, text: str) -> None:
-    """No progress is shown."""
 
 
 def _check(scene: Scene, rounds: int | None) -> None:
@@ -252,10 +248,6 @@ def _entry(c: Contender, got: Result, want: Mapping[str, Any], unfelt: int) -> E
         contender=c, status=got.status, sentence=got.sentence, ns_per_tick=0.0, runs=0, errors=errors(got.trace, want),
         peak_ratio=peak_ratio(got.trace, want), missed=unfelt,
     )
-
-
-def _timed(entry: Entry, times: list[float]) -> Entry:
-    return replace(entry, ns_per_tick=median(times), runs=len(times))
 
 
 def _most(size: Any, bins: range) -> Any:

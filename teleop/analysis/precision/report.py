@@ -225,6 +225,7 @@ LOOKS = {
     "trapezoid": Look(plot.BLUE, "X", "-"), "sdirk2": Look(plot.GREEN, "h", "-"), "radau": Look(plot.PURPLE, "p", "-"),
     "DOP853": Look(plot.OLIVE, "<", "-."), "LSODA": Look(plot.WINE, ">", "-."), "Radau": Look(plot.BLACK, "d", "-."),
 }
+ALONG = ("exact", "default", "euler/1", "semi_implicit_euler/1", "rk4/1", "sdirk2/16", "radau/64", "verlet/64")
 SIZES = (10.0, 7.0, 5.0, 3.5)  # of the marks, from coarse to fine
 PANELS = (("x_s", "x_err", "slave's position", "m"), ("f_env", "f_err", "force on the environment", "N"))
 
@@ -327,7 +328,7 @@ def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: 
     t = got.along["t"]
     axes.plot(t, _above(got.along[track], 0.0), color=plot.BLACK, linewidth=4.0, alpha=0.25,
               label="tracking and transparency")
-    some = _some(got)
+    some = [e for e in got.entries if e.key in ALONG]
     for i, e in enumerate(some):
         look = LOOKS.get(e.contender.method, Look(plot.BLACK, "", "-"))
         label = f"numerical, {e.contender.label} {e.contender.step}".rstrip()
@@ -338,12 +339,6 @@ def _time(axes: Axes, got: Precision, series: str, track: str, what: str, unit: 
     axes.set_xlabel("time (s)")
     axes.set_ylabel(f"error of the {what} ({unit})")
     plot.grid_lines(axes)
-
-
-def _some(got: Precision) -> list[Entry]:
-    """The stack's own steps, and a choice of methods from coarse to fine."""
-    wanted = ("exact", "default", "euler/1", "semi_implicit_euler/1", "rk4/1", "sdirk2/16", "radau/64", "verlet/64")
-    return [e for e in got.entries if e.key in wanted]
 
 
 def _above(column: Any, least: float) -> Any:

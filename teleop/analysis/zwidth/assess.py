@@ -175,7 +175,8 @@ def span(name: str, typed: str | None) -> Span:
     return Span(*typed_range(name, typed, example="0:2000", low=0.0))
 
 
-def assess(scene: Scene, *, span_K: Span = ALL, span_B: Span = ALL, seed: int = 0, show: Show | None = None) -> ZWidth:
+def assess(scene: Scene, *, span_K: Span = ALL, span_B: Span = ALL, seed: int = 0, show: Show = lambda *_: None
+           ) -> ZWidth:
     """Find a scene's Z-width. `show` is told how much is done, 0 to 1.
 
     The spans are where the stable region and what rests are looked for; the passive region is always whole. Raises
@@ -183,7 +184,6 @@ def assess(scene: Scene, *, span_K: Span = ALL, span_B: Span = ALL, seed: int = 
     """
     scene = check(scene)
     z_width = ZWidth(scene=scene, seed=seed, span_K=span_K, span_B=span_B)
-    show = show or _quiet
     try:
         for further in _steps(z_width, show):
             z_width = further
@@ -193,10 +193,6 @@ def assess(scene: Scene, *, span_K: Span = ALL, span_B: Span = ALL, seed: int = 
         return replace(z_width, interrupted=True)
     show(1.0, "done")
     return z_width
-
-
-def _quiet(part: float, text: str) -> None:
-    """No progress is shown."""
 
 
 def _steps(z_width: ZWidth, show: Show) -> Iterator[ZWidth]:

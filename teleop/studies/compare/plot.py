@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import inf, isfinite, isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from teleop.studies.compare import figures
 from teleop.studies.compare.cases import Comparison
@@ -69,7 +69,7 @@ def draw(rows: Sequence[figures.Row], verdicts: Sequence[figures.LawVerdict], co
 def status_map(rows: Sequence[figures.Row], verdicts: Sequence[figures.LawVerdict], links: Sequence[str],
                environments: Sequence[str]) -> Figure:
     """A map: laws down, links across in each environment's block."""
-    from matplotlib.patches import Patch
+    from matplotlib.patches import Patch, Rectangle
 
     laws = [each.law for each in verdicts]
     block = 0.26 * (len(links) + 1)  # inches
@@ -86,7 +86,7 @@ def status_map(rows: Sequence[figures.Row], verdicts: Sequence[figures.LawVerdic
             for x, link in enumerate(links):
                 status = ended[law].get((environment, link))
                 if status is not None:
-                    axes.add_patch(_square(x, y, STATUS[status]))
+                    axes.add_patch(Rectangle((x - 0.45, y - 0.45), 0.9, 0.9, color=STATUS[status], linewidth=0))
         axes.set(xlim=(-0.5, len(links) - 0.5), ylim=(len(laws) - 0.5, -0.5), aspect="equal")
         axes.set_xticks(range(len(links)), [plot.literal(link) for link in links], rotation=90, fontsize=9)
         axes.set_yticks(range(len(laws)), [plot.literal(law) for law in laws], fontsize=9)
@@ -101,12 +101,6 @@ def status_map(rows: Sequence[figures.Row], verdicts: Sequence[figures.LawVerdic
     figure.legend(handles=[Patch(color=colour, label=", ".join(words)) for colour, words in shown.items()],
                   loc="outside lower center", ncols=len(shown), frameon=False, fontsize=9)
     return figure
-
-
-def _square(x: int, y: int, colour: str) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((x - 0.45, y - 0.45), 0.9, 0.9, color=colour, linewidth=0)
 
 
 def tracking_plot(verdicts: Sequence[figures.LawVerdict]) -> Figure | None:

@@ -290,15 +290,13 @@ class LawSearch:
         return [self.scene.law, fitted(self.scene, self.seed).law, by_itself]
 
     def _point_of(self, law: Any) -> Point:
-        return self._point({name: getattr(law, name.removeprefix("law.")) for name in self.ranges.searched})
+        """The point of a law's numbers, with the first playout if any is tried."""
+        values = {name: getattr(law, name.removeprefix("law.")) for name in self.ranges.searched}
+        return tuple([values[name] if name in values else span[0]  # type: ignore[index]  # a list of texts
+                      for name, span in self.spans.items()])
 
     def _values(self, point: Point) -> dict[str, Any]:
         return dict(zip(self.names, point, strict=True))
-
-    def _point(self, values: Mapping[str, Any]) -> Point:
-        """A point of these values, with the first playout if none is among them."""
-        return tuple([values[name] if name in values else span[0]  # type: ignore[index]  # a list of texts
-                      for name, span in self.spans.items()])
 
     def _draw(self, count: int) -> list[Point]:
         """Draw so many points of the hypercube, rounded as they are typed."""

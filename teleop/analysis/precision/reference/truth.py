@@ -112,7 +112,8 @@ def _integrated(scene: Scene, seed: int, clock: Callable[[], int], ticks: int, *
                       "and wait")
     second = "Radau" if patient or seconds["Radau"] <= PATIENCE else "DOP853"
     half = seconds["DOP853"] / max(seconds["DOP853"] + seconds[second], 1e-9)
-    moved = max(_integrated_bodies(scene), 1) * ticks
+    masters = scene.axes if scene.master.friction > 0.0 else 0  # without a closed form, as slaves with a core are
+    moved = max(masters + sum(core_of(still) is not None for still, _ in stills(scene)), 1) * ticks
 
     def by(solver: str, rtol: float, before: float, after: float) -> tuple[Result, Steps]:
         steps = Steps()
@@ -146,12 +147,6 @@ def _progress(show: Show, text: str, steps: int) -> Callable[[], None]:
             show(min(done / steps, 1.0), text)
 
     return tell
-
-
-def _integrated_bodies(scene: Scene) -> int:
-    """Count the bodies without a closed form."""
-    masters = scene.axes if scene.master.friction > 0.0 else 0
-    return masters + sum(core_of(still) is not None for still, _ in stills(scene))
 
 
 def _foretold(scene: Scene, seed: int, clock: Callable[[], int], ticks: int) -> dict[str, float]:
