@@ -15,6 +15,8 @@ cache folder, so each is compiled once.
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from teleop import Refused
@@ -67,7 +69,7 @@ end fit of one reading                  f     f      f                     -    
 levant                                  f     f      f                     -       f
 """
 HEAD, *LINES = TABLE.strip("\n").splitlines()
-PLACES = {engine: HEAD.index(engine) for engine in HEAD.split()}
+PLACES = {word.group(): word.start() for word in re.finditer(r"\S+", HEAD)}
 CELLS = {(line[:40].strip(), engine): line[place:place + 1].strip()
          for line in LINES for engine, place in PLACES.items()}
 COMPILED = ("canonical", "recorded_reach", "encoder_wall", "virtual_coupling", "jittery_wan")
@@ -80,6 +82,7 @@ RUN = [pytest.param(name, engine, id=f"{engine}-{name.replace(' ', '_')}", marks
 def test_the_table_has_every_case() -> None:
     assert {name for name, _ in CELLS} == {*CASES}
     assert {*CELLS.values()} == {"X", "x", "f", "-", ""}
+    assert {engine for (_, engine), cell in CELLS.items() if cell == "X"} == {*PLACES}
 
 
 @pytest.mark.parametrize(("name", "engine"), RUN)
