@@ -106,7 +106,7 @@ function captions() {  // the numbers of the row under the pointer, or else of t
   force[0].textContent = `master ${fixed(r.fm[0], 1)}${newton()}`;
   force[1].textContent = `slave ${fixed(r.fs[0], 1)}${newton()}${when}`;
   energy[0].textContent = (r.E == null ? (hello && hello.energy ? "\u2013" : "not kept in this scene") : Math.abs(r.E) < 1 ? fixed(r.E * 1e3, 1) + " mJ" : fixed(r.E, 1) + " J") + when;
-  queue[0].textContent = r.queue ? "forward " + ms(r.queue[0]) : "";
+  queue[0].textContent = r.queue ? "forward " + ms(r.queue[0]) : "no waves under this law";
   queue[1].textContent = r.queue ? "backward " + ms(r.queue[1]) + when : "";
 }
 function summary(list) {  // of what the strips show, for those who do not see them
@@ -122,7 +122,7 @@ function overview() {  // all axes as small strips, where there are more than ca
   [...$("axes").children].forEach((button, i) => {
     const [output, canvas] = [button.querySelector("output"), button.querySelector("canvas")], c = canvas.getContext("2d");
     const w = canvas.width, h = canvas.height, traces = ["xm", "xs"].map(key => list.map(r => r.all[key][i])), span = hello.spans[i];
-    const low = Math.min(-span / 2, ...traces.flat()), high = Math.max(span / 2, ...traces.flat()), y = v => h - 2 - (v - low) / (high - low) * (h - 4);
+    const low = Math.min(-span / 8, ...traces.flat()), high = Math.max(span / 8, ...traces.flat()), y = v => h - 2 - (v - low) / (high - low) * (h - 4);
     output.textContent = `${fixed(row.all.xs[i] * 1e3, 0)} m${hello.units[i]}`;
     output.className = "num";
     c.clearRect(0, 0, w, h);
