@@ -25,18 +25,19 @@ function rowAt(t) {  // the index of the newest row up to t
 }
 const inView = () => rows.slice(Math.max(0, rowAt(edge() - SHOWN)), rowAt(edge()) + 1);
 function look(t) {  // show the ten seconds up to t; null: the newest
-  paused = t;
+  paused = t == null || !row ? null : clip(t, Math.min(rows[0].t + SHOWN, row.t), row.t);
+  for (const one of strips) one.whole = dirty = true;
+  rescale();
+}
+function tape() {
   const first = rows.length ? rows[0].t : 0, end = row ? row.t : 0;
   $("pause").setAttribute("aria-pressed", String(paused != null));
   $("back").disabled = paused == null;
-  if (paused != null) paused = clip(paused, Math.min(first + SHOWN, end), end);
-  $("back").min = Math.min(first + SHOWN, end);
+  $("back").min = Math.min(first + SHOWN, edge());
   $("back").max = end;
   $("back").value = edge();
   $("when").textContent = paused == null ? "live" : end - paused < .05 ? "paused" : fixed(end - paused, 1) + " s ago";
   $("back").setAttribute("aria-valuetext", $("when").textContent);
-  for (const one of strips) one.whole = dirty = true;
-  rescale();
 }
 const live = () => look(null);
 $("pause").onclick = () => look(paused == null ? edge() : null);
@@ -73,6 +74,7 @@ function extremes(list, i) {
 }
 function rescale() {
   narrow();
+  tape();
   const list = inView(), least = [0, 1, .001, .001];
   kind = list.reduce((found, r) => r.kind || found, null);
   for (const one of strips) {

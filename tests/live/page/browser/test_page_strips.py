@@ -163,7 +163,8 @@ def test_all_axes_of_six_are_drawn_as_small_strips_and_the_robot_from_the_side_b
     mock.send({**mock.hello(), "arm": {"shapes": shapes, "world": [], "middle": [0.1, 0.0], "span": 0.5}})
     page.until("hello.arm && !$('arm').hidden && $('arm').width > 200")
     page.evaluate("take({...row, t: row.t + 1e-4, arm: [[[1, 0, 0, 0, 0, 1, 0, 0], [1, 0, 0, 0, 0, 1, .2, .1]]]})")
-    seen = """((x, y) => { const at = $('arm'), c = at.getContext('2d'), k = Math.min(at.width, at.height - 28 * R) / .5;
+    seen = """((x, y) => {
+      const at = $('arm'), c = at.getContext('2d'), k = Math.min(at.width, at.height - 28 * R) / .5;
       return [...c.getImageData(at.width / 2 + (x - .1) * k, (at.height + 28 * R) / 2 - y * k, 1, 1).data];
     })"""
     page.until(f"{seen}(.1, 0)[3] === 255")
