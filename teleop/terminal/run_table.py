@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from teleop.errors import number_of
+from teleop.simulation.metrics import resolved
 from teleop.simulation.result import law_with_gains
 from teleop.terminal.table import facts, si
 
@@ -27,7 +29,8 @@ def table(result: Result) -> str:
 
 def rows(result: Result) -> Iterator[tuple[str, str]]:
     """The figures of a run and its notes, each with its label."""
-    yield from ((label, text) for label, tell in _ROWS for text in tell(result))
+    shown = replace(result, metrics=resolved(result.metrics))
+    yield from ((label, text) for label, tell in _ROWS for text in tell(shown))
     yield from (("note", note) for note in result.notes)
 
 
