@@ -49,8 +49,13 @@ def calm(page: Page) -> None:
     page.until("Math.abs(row.xm[0] + .01) < .002 && Math.abs(row.xs[0] - row.xm[0]) < .002")
 
 
+def safe(page: Page) -> bool:
+    """True while an end is in its safe state, as it is between two laws."""
+    return bool(page.evaluate("document.querySelector('#measured .safe') !== null || !row"))
+
+
 def film(page: Page) -> list[tuple[float, bytes]]:
-    """Pictures with their times (s), while the script below goes on."""
+    """Pictures with their times (s), while the script below goes on; the film is cut where an end is safe."""
     def hand(a: float, b: float) -> Callable[[float], Any]:
         return lambda p: page.evaluate(f"steer([{a + (b - a) * p * p * (3 - 2 * p)}])")
 
@@ -61,16 +66,22 @@ def film(page: Page) -> list[tuple[float, bytes]]:
         (4.6, 4.6, lambda _p: law(page, "direct")),
     ]
     done: set[float] = set()
-    shots, start = [], time.monotonic()
-    while (t := time.monotonic() - start) < 8.2:
+    shots: list[tuple[float, bytes]] = []
+    start, cut, taken = time.monotonic(), 0.0, 0
+    while (t := time.monotonic() - start) < 8.2 + min(cut, 30.0):
         for a, b, act in script:
             if t >= a and a not in done:
                 share = min(1.0, (t - a) / (b - a)) if b > a else 1.0
                 act(share)
                 if share == 1.0:
                     done.add(a)
-        shots.append((time.monotonic() - start, page.screenshot(optimizeForSpeed=True)))
-        time.sleep(max(0.0, len(shots) / RATE - (time.monotonic() - start)))
+        before, shot = safe(page), page.screenshot(optimizeForSpeed=True)
+        taken += 1
+        time.sleep(max(0.0, taken / RATE - (time.monotonic() - start)))
+        if before or safe(page):
+            cut += time.monotonic() - start - t
+        else:
+            shots.append((t - cut, shot))
     return shots
 
 

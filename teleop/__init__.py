@@ -148,12 +148,24 @@ _HOMES = {  # the module of each name, under this package
 }
 
 
+def _strips_of(result: Result) -> str:
+    """The figures of a result in a notebook, made by a room far above the result's own."""
+    from teleop.report.of_runs import in_a_notebook
+
+    return in_a_notebook(result)
+
+
 if not TYPE_CHECKING:  # a type checker goes by the imports above, and finds a name that is misspelt
 
     def __getattr__(name: str) -> object:
         from teleop.naming import public_name
 
-        return public_name(__name__, _HOMES, name)
+        value = public_name(__name__, _HOMES, name)
+        if name in ("Result", "load_result", "run"):
+            from teleop.simulation import result
+
+            result.strips_of = _strips_of
+        return value
 
 
 def __dir__() -> list[str]:

@@ -63,6 +63,18 @@ def test_the_first_page_moves_and_is_light_enough_for_a_phone() -> None:
     assert data.count(b"ANMF") > 1  # frames
 
 
+def test_no_frame_of_the_moving_picture_shows_a_safe_state() -> None:
+    """Two of its frames showed one: words in the page's red, which nothing else on it has."""
+    images = pytest.importorskip("PIL.Image")
+    np = pytest.importorskip("numpy")
+    with images.open(ROOT / ".figures" / "page.webp") as film:
+        for i in range(film.n_frames):
+            film.seek(i)
+            red, green, blue = np.moveaxis(np.asarray(film.convert("RGB")).astype(int), -1, 0)
+            assert ((red > 130) & (green < 70) & (blue < 70))[red.shape[0] * 3 // 4:].sum() < 30, i
+        assert i > 30
+
+
 def test_every_command_of_a_page_can_be_typed() -> None:
     command_line, scenes = parser(), built_in_scenes()
     for page in PAGES:

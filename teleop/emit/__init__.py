@@ -2,9 +2,11 @@
 
     types        the types of C, and what stands for a value while a function is printed
     primitives   Python's functions that C has a line for, and what each refuses where Python raises
-    expressions, statements   one Python function as one C function
+    expressions, calls, statements   one Python function as one C function
     ticks        the generator of a live end as `init` and `tick`
     guard        the guard around the tick as `begin` and `step`
     vectors      what Python answers to inputs, tame and wild, for check.c and for tests
-    files        the four files; `command` has the command
+    wire         the numbers of packets
+    compiled     C and Python beside each other, where a compiler is there
+    files        the files; `command` has the command
 """

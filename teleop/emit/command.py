@@ -6,8 +6,8 @@ from argparse import Namespace
 
 from teleop.emit.files import FLAGS, files
 from teleop.errors import Refused
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
+from teleop.scene.loading import live_knobs, load_scene
+from teleop.scene.scene import Scene, both_ends
 from teleop.storage.files import replacing
 from teleop.storage.folder import new_folder
 from teleop.terminal.answer import Answer, titled
@@ -17,8 +17,11 @@ from teleop.terminal.table import facts
 
 def command(args: Namespace) -> Answer:
     """Write the files of an end into a new folder. Raises `Refused`; then there is none."""
-    scene = load_scene(args.scene, **knobs_from(args))
+    knobs = knobs_from(args)
+    scene = load_scene(args.scene, **knobs)
     e = end_of(scene, args.end)
+    if scene.slave is not None:
+        scene = both_ends(load_scene(args.scene, **live_knobs(args.scene, knobs)))
     made = files(scene, e, args.end)
     with new_folder(args.out, f"{scene.name}-emit") as new:
         for name, text in made.texts.items():

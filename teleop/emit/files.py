@@ -10,6 +10,7 @@ from teleop.emit.primitives import FAULTS
 from teleop.emit.ticks import WHAT, PrintedTick, printed_tick, record_line
 from teleop.emit.types import BOOL, NOTHING
 from teleop.emit.vectors import Vectors, vectors
+from teleop.emit.wire import wire_header
 from teleop.law import law_name
 from teleop.protocol.guard import UNNAMED
 from teleop.scene.playout import Fixed
@@ -32,9 +33,11 @@ def files(scene: Scene, e: str, end: str, *, sensor: bool | None = None, real: s
     name = f"{re.sub(r'[^a-z0-9]+', '_', scene.name.lower()).strip('_')}_{end}"
     tick, guard = with_guard(scene, printed_tick(scene, e, f"{name}_", sensor=sensor, real=real))
     rows = vectors(scene, e, tick, count=TICKS, sensor=sensor)
-    return Files({f"{name}.h": header(scene, end, name, tick, guard),
-                  f"{name}.c": code(scene, end, name, tick, guard),
-                  "check.c": check(name, tick, rows), "README.md": page(scene, end, name, tick)}, tick, rows)
+    texts = {f"{name}.h": header(scene, end, name, tick, guard), f"{name}.c": code(scene, end, name, tick, guard),
+             "check.c": check(name, tick, rows), "README.md": page(scene, end, name, tick)}
+    if scene.slave is not None:
+        texts[f"{name}_wire.h"] = wire_header(scene, e, name, title(scene, end))
+    return Files(texts, tick, rows)
 
 
 HEAD = """\

@@ -96,7 +96,8 @@ def with_guard(scene: Scene, tick: PrintedTick) -> tuple[PrintedTick, Guard]:
         "clock": CAUSES.index(Cause.CLOCK),
         "causes": ",\n".join([f"    {prefix.upper()}{word} = {i} /* {why} */"
                               for i, (word, why) in enumerate(causes, -1)]),
-        "fields": _lines(types, inputs, ("touch", "heard", "rx", "clutch", "present")),
+        "fields": _lines(types, inputs, ("touch", "heard", "rx", "clutch")) + (
+            f"\n    {types.c(DOUBLE)} absent;  /* 1 while the operator is not there */" if "present" in inputs else ""),
         "out": _lines(types, outputs, ("tx", "sent")), "columns": outputs["row"].count,
         "row": comment(", ".join(tick.columns)),
         "finite_reading": _finite({name: inputs[name] for name in ("touch",) if name in inputs}, "m"),
@@ -127,7 +128,7 @@ def _finite(members: dict[str, Any], of: str) -> str:
 
 
 FILL = {"k": "k", "got": "got", "newest": "(@real@)e->newest", "gain": "e->guard.gain", "since": "since",
-        "clutch": "m->clutch", "present": "m->present"}
+        "clutch": "m->clutch", "present": "1 - m->absent"}
 FILL_AXES = {"x": "m->x[i] - e->origin[i]", "v": "m->v[i]", "touch": "m->touch[i]", "rx": "m->rx[i]",
              "heard": "m->heard[i]", "held": "e->held[i]"}
 

@@ -16,8 +16,12 @@ from teleop.terminal.plotting import BLACK, BLUE, BROWN, DARK, FRAME, GREEN, GRI
 from teleop.terminal.table import printable
 
 LONGEST = 2000  # characters of one text
-SHORT = 16  # characters of a cell that is not broken
+SHORT = 24  # characters of a cell, or of its row's name, that is not broken
+LONG_WORD = 40  # characters of a word that is broken anywhere
 _PATH = re.compile(r"[MLlqcz0-9 .-]*")
+# What stays on one line: a number with its unit, and an option, which a browser would break behind its hyphens.
+_WHOLE = re.compile(r"(?<![\w.])(?:[-+]?\d[\d.]*(?:e[-+]?\d+)? (?:%|[numkMG]?(?:m|s|N|J|W|Hz|rad|kg|deg)\b[^\s,;:)]*"
+                    r"(?: [ms]/(?:m|rad|s)\b)?|1/s|times)|--[\w-]+(?: [\w.-]+=\S+)?)")
 
 
 class Markup(str):
@@ -66,8 +70,8 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool =
 
     `even`: its columns are alike, and it is as wide as the page.
     """
-    lines = [element("tr", None, element("th", {"scope": "row"}, row[0]), *[_cell(one, numbers) for one in row[1:]])
-             for row in rows]
+    lines = [element("tr", None, element("th", {"scope": "row", "class": "w" if len(row[0]) > SHORT else None},
+                                         row[0]), *[_cell(one, numbers) for one in row[1:]]) for row in rows]
     top = element("tr", None, *[element("th", {"scope": "col", "class": "n" if numbers and i else None}, one)
                                 for i, one in enumerate(head)])
     parts = [element("thead", None, top)] * bool(head)
@@ -76,9 +80,33 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool =
 
 
 def _cell(sentence: str, numbers: bool) -> Markup:
-    """A cell; what is short stays on one line."""
-    kinds = ["n"] * numbers + ["k"] * (not isinstance(sentence, Markup) and len(sentence) <= SHORT)
-    return element("td", {"class": " ".join(kinds) or None}, sentence)
+    """A cell of a table."""
+    kinds = ["n"] * numbers + [kind for kind in [_breaks(sentence)] if kind]
+    return element("td", {"class": " ".join(kinds) or None}, *unbroken(sentence))
+
+
+def _breaks(sentence: str) -> str | None:
+    """The class of a cell: a short one is not broken, one with a long word is broken anywhere."""
+    if isinstance(sentence, Markup) or any(len(word) > LONG_WORD for word in sentence.split()):
+        return "w"
+    return "k" if len(sentence) <= SHORT else None
+
+
+def unbroken(sentence: str) -> list[str]:
+    """The parts of a text, of which a number with its unit and an option are elements that no line end parts.
+
+    >>> print(*unbroken("up to 20 N; type --set duration=3"), sep="|")
+    up to |<span class="k">20 N</span>|; type |<span class="k">--set duration=3</span>
+    """
+    if isinstance(sentence, Markup) or len(sentence) <= SHORT:
+        return [sentence]
+    parts: list[str] = []
+    at = 0
+    for match in _WHOLE.finditer(sentence[:LONGEST]):
+        if len(match[0]) <= LONG_WORD:
+            parts += [sentence[at:match.start()], element("span", {"class": "k"}, match[0])]
+            at = match.end()
+    return [part for part in [*parts, sentence[at:]] if part]
 
 
 def facts(rows: Iterable[tuple[str, str]]) -> Markup:
@@ -105,10 +133,10 @@ CSS = f"""
 @media screen and (prefers-color-scheme:dark){{{_IN_FIGURES}}}
 @media print{{:root{{color-scheme:light;{_ON_LIGHT}--ink:#000}}}}
 *{{box-sizing:border-box}}
-body{{margin:0 auto;padding:1.2rem;max-width:52rem;background:var(--back);color:var(--ink);
+body{{margin:0 auto;padding:1.2rem;max-width:76rem;background:var(--back);color:var(--ink);
 font:15px/1.45 system-ui,-apple-system,"Segoe UI",Roboto,"Liberation Sans",Arial,sans-serif}}
 h1,h2,h3{{line-height:1.2;margin:0 0 .3rem}}h1{{font-size:1.5rem}}h2{{font-size:1.2rem;margin-top:1.6rem}}
-h3{{font-size:1rem;margin-top:1.1rem}}p{{margin:.3rem 0}}
+h3{{font-size:1rem;margin-top:1.1rem}}p{{margin:.3rem 0;max-width:60rem}}
 .sub,footer,figcaption{{color:var(--soft)}}.out{{font-size:1.05rem}}.out b{{margin-right:.4em}}
 .good{{color:var(--good)}}.bad{{color:var(--bad)}}
 figure{{margin:.5rem 0 0;break-inside:avoid}}figcaption{{font-size:.85em}}svg{{display:block;width:100%;height:auto}}
@@ -121,7 +149,7 @@ caption,.cap{{text-align:left;font-weight:600;padding-bottom:.2rem}}
 th,td{{text-align:left;vertical-align:top;padding:.12rem .9rem .12rem 0;border-top:1px solid var(--grid)}}
 thead th{{border-top:0;vertical-align:bottom}}
 th[scope=row]{{font-weight:400;color:var(--soft)}}th.n,td.n{{text-align:right;font-variant-numeric:tabular-nums}}
-tr{{break-inside:avoid}}.small{{font-size:.82em}}td{{overflow-wrap:anywhere}}td.k{{white-space:nowrap}}
+tr{{break-inside:avoid}}.small{{font-size:.82em}}.k,th[scope=row]:not(.w){{white-space:nowrap}}.w,.out{{overflow-wrap:anywhere}}
 table.even{{width:100%;table-layout:fixed}}
 dl{{display:flex;flex-wrap:wrap;gap:.1rem 1.2rem;margin:.4rem 0;font-size:.87em}}
 dl div{{display:flex;gap:.4em;max-width:100%}}dt{{color:var(--soft)}}dd{{margin:0;overflow-wrap:anywhere;min-width:0}}

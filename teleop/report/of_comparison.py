@@ -66,8 +66,9 @@ def comparison_report(folder: Path, args: Namespace) -> FolderReport:
     links, places = (list(dict.fromkeys(row[name] for row in rows)) for name in ("link", "environment"))
     words = (f"{number_of(len(verdicts), 'law')}, {number_of(len(links), 'link')}, "
             f"{number_of(len(places), 'environment')}; {number_of(len(rows), 'row')}")
-    notes = [*document.get("notes", ()), *[f"{one['law']} over {one['link']}: {one['sentences'][0]}" for one in
-                                           document.get("conditions", ()) if one["sentences"]]]
+    broken = [f"{one['law']} over {one['link']}: {one['sentences'][0]}" for one in document.get("conditions", ())
+              if one["sentences"]]
+    notes = list(dict.fromkeys([*document.get("notes", ()), *broken]))
     heading_ = f"compare   {document.get('file', folder)}: {words}"
     answer = Answer(text(verdicts, rankings(verdicts), (), heading_, notes) + f"\nwritten to {folder}",
                     {**document, "done": len(rows), "path": str(folder)})

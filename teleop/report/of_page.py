@@ -12,6 +12,7 @@ from teleop.errors import Refused, number_of
 from teleop.live.records.merge import load_result
 from teleop.report.of_runs import RunView, of_parts
 from teleop.report.page import FolderReport
+from teleop.simulation.metrics import resolved
 from teleop.simulation.result import RUNNING, stored_summary
 from teleop.storage import strict_json as stored
 from teleop.storage.files import read_bytes
@@ -23,10 +24,9 @@ from teleop.terminal.run_table import heading
 from teleop.terminal.table import columns, facts, si
 
 INDEX = "page.json"
-SHOWN = 6  # parts that the figures have
 MOST = 500  # parts
 Begun = tuple[int, str]  # the first tick of a part, and why it began
-WHY = {"start": "start", "turn": "turned", "again": "started again", "lost": "a process had ended"}
+WHY = {"start": "start", "turn": "switched", "again": "started again", "lost": "a process had ended"}
 _SHAPE = stored.record({
     "version": stored.whole(low=1, high=1), "scene": stored.text,
     "parts": stored.list_of(stored.record({"folder": stored.text, "k": stored.whole(low=-1), "why": stored.text}),
@@ -44,7 +44,7 @@ def page_report(folder: Path, args: Namespace, formats: Sequence[str]) -> Folder
     running = running or any(run.result.status == RUNNING for _, run in parts)
     lines = [("part", "began by", "scene and law", "for", "status", "tracking error", "at most felt")]
     for i, ((_, why), run) in enumerate(parts):
-        got, unit = run.result.metrics, run.result.labels.unit
+        got, unit = resolved(run.result.metrics), run.result.labels.unit
         lines.append((str(i + 1), why, heading(run.result), f"{run.result.ticks * run.result.dt:.1f} s",
                       run.result.status, si(got["x_err_rms"], unit("m")) if "x_err_rms" in got else "-",
                       si(got["f_m_max"], unit("N")) if "f_m_max" in got else "-"))
@@ -58,7 +58,7 @@ def page_report(folder: Path, args: Namespace, formats: Sequence[str]) -> Folder
         at = folder / run.name
         answer = answer.with_plots(at, draw(run.result, at / PLOT, formats))
     return FolderReport(folder, answer, running=running, section=lambda: of_parts(
-        folder.resolve().name, [run for _, run in parts], [begun for begun, _ in parts], document, SHOWN))
+        folder.resolve().name, [run for _, run in parts], [begun for begun, _ in parts], document))
 
 
 def _index(folder: Path) -> dict[str, Any]:

@@ -6,13 +6,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from teleop.errors import enumerated, plural
 from teleop.report.figures import figures
 from teleop.report.markup import Markup, element, facts, table
 from teleop.report.page import Section, flattened, heading, made_by, parameters, with_unit
 from teleop.report.strips import Strip, strips
 from teleop.scene.catalogue import units_of
 from teleop.scene.library import known_scenes
-from teleop.simulation.metrics import METRICS
+from teleop.simulation.metrics import METRICS, resolved
+from teleop.terminal.plotting import can_draw
 from teleop.terminal.run_table import heading as headed
 from teleop.terminal.run_table import rows, what
 from teleop.terminal.table import si
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
 MOST_EVENTS = 16  # of a run that are listed
 MOST_TITLE = 34  # characters over a panel
+PANELS, PARTS = 12, 6  # of a figure of several runs, of the parts of a page
+SWINGING = ("limit cycle", "unstable", "diverged")
 COLUMNS = 6  # runs side by side in one table; of more each is a row
 COMPARED = ("x_err_rms", "x_err_max", "f_err_rms", "f_m_max", "f_env_max", "f_m_end", "f_env_end", "felt_share",
             "felt_drag", "drift_end", "jerk_rms", "T_fwd_mean", "T_bwd_mean", "queue_fwd_end", "queue_bwd_end",
@@ -48,17 +52,28 @@ def of_one(run: RunView) -> Section:
                    sentence=result.sentence, blocks=blocks)
 
 
-def of_several(runs: Sequence[RunView], title: str = "", under: str = "", before: Sequence[Markup] = (), shown: int = 12
-               ) -> Section:
-    """Runs side by side: one table, or what is given `before` the figures; a figure a quantity with a panel for each
-    of the last `shown`.
+def in_a_notebook(result: Result) -> Markup:
+    """The figures of a run over time, for a page whose style is not ours; without matplotlib a sentence."""
+    if not can_draw():
+        return element("p", None, "Strips over time need matplotlib: pip install 'bilateral-teleop[plot]'.")
+    drawn = figures(lambda: strips([_strip("", result)]))
+    return element("div", {"style": "font:10px sans-serif;fill:currentColor;max-width:60rem"}, *drawn)
+
+
+def of_several(runs: Sequence[RunView], title: str = "", under: str = "", before: Sequence[Markup] = (),
+               most: int = PANELS, noun: str = "run") -> Section:
+    """Runs side by side: one table, or what is given `before` the figures; a figure a quantity with a panel for each.
+
+    Of more than `most` runs those with most to see have a panel.
     """
     differing = _differing([run.result for run in runs])
     titles = [_title(run, differing[i], i) for i, run in enumerate(runs)]
-    if len(set(titles)) < len(titles):
-        titles = [f"{i + 1}: {run.name}"[:MOST_TITLE] for i, run in enumerate(runs)]
-    drawn = [_strip(summary, run.result) for summary, run in zip(titles, runs, strict=True)][-shown:]
-    note = [element("p", {"class": "sub"}, f"The figures show the last {shown} of {len(runs)}.")] * (len(runs) > shown)
+    shown = most_to_see([run.result for run in runs], most)
+    drawn = [_strip(titles[i], runs[i].result) for i in shown]
+    hidden = [str(i + 1) for i in range(len(runs)) if i not in shown]
+    note = [element("p", {"class": "sub"}, f"The figures show the {len(shown)} {noun}s with most to see: those that "
+                    f"swing, then those with the greatest forces. Left out: {plural(len(hidden), noun)} "
+                    f"{enumerated(hidden)}.")] if hidden else []
     notes = [(titles[i], note) for i, run in enumerate(runs) for note in run.result.notes]
     same = {name: value for name, value in flattened(runs[0].result.parameters).items() if name not in differing[0] and
             not (name.startswith("law.") and "law" in differing[0])}
@@ -70,6 +85,20 @@ def of_several(runs: Sequence[RunView], title: str = "", under: str = "", before
                       dict.fromkeys(run.result.status for run in runs))
     return Section(title=title or f"{', '.join(scenes)}: {len(runs)} runs", under=under or ", ".join(
         run.name for run in runs), sentence=f"{len(runs)} runs: {ended}", blocks=blocks)
+
+
+def most_to_see(results: Sequence[Result], most: int) -> list[int]:
+    """The positions, in order, of the `most` runs with most to see.
+
+    Those come first that swing or diverge, then those with the greatest force at either end, and of equal ones, which
+    are at a cap, the roughest.
+    """
+    def interest(i: int) -> tuple[bool, float, float]:
+        got = results[i].metrics
+        return (results[i].status in SWINGING, max(got.get("f_m_max", 0.0), got.get("f_env_max", 0.0)),
+                got.get("jerk_rms", 0.0))
+
+    return sorted(sorted(range(len(results)), key=interest, reverse=True)[:most])
 
 
 def _strip(title: str, result: Result) -> Strip:
@@ -130,12 +159,14 @@ def _differences(result: Result) -> dict[str, str]:
 
 
 def _title(run: RunView, differing: Mapping[str, str], i: int) -> str:
-    """Title of the panel of a run: the knobs in which it differs, where that is short."""
-    summary = ", ".join(value if name in ("law", "scene") else f"{name} {value}" for name, value in differing.items()
-                     if value and not name.startswith("law'"))
-    if not summary or len(summary) > MOST_TITLE:  # the folder of a page's part is a number
-        summary = headed(run.result).rpartition(", law ")[2] if run.name.isdecimal() else run.name
-    return f"{i + 1}: {summary}"[:MOST_TITLE]
+    """Title of the panel of a run: the knobs in which it differs, or as many of them as are short."""
+    words = [value if name in ("law", "scene") else f"{name} {value}" for name, value in differing.items()
+             if value and not name.startswith("law'")]
+    if not words or (len(", ".join(words)) > MOST_TITLE - 4 and not run.name.isdecimal()):
+        words = [run.name]  # of a page's part it is a number
+    while len(words) > 1 and len(", ".join(words)) > MOST_TITLE - 4:
+        words.pop()
+    return f"{i + 1}: {', '.join(words)}"[:MOST_TITLE]
 
 
 def _compared(runs: Sequence[RunView], titles: Sequence[str], differing: Sequence[Mapping[str, str]]) -> Markup:
@@ -176,7 +207,7 @@ def _name_parts(name: str) -> str:
 def _value(result: Result, name: str) -> str:
     if name not in result.metrics:
         return "-"
-    unit, value = result.labels.unit(METRICS[name].unit), float(result.metrics[name])
+    unit, value = result.labels.unit(METRICS[name].unit), float(resolved(result.metrics)[name])
     return f"{100.0 * value:.3g} %" if unit == "1" else si(value, unit)
 
 
@@ -195,21 +226,23 @@ def _commands(runs: Sequence[RunView], titles: Sequence[str]) -> list[Markup]:
 def _command_rows(runs: Sequence[RunView], titles: Sequence[str]) -> Iterator[tuple[str, str]]:
     from shlex import join
 
-    for title, run in zip(titles, runs, strict=True):
-        command = run.document.get("command")
+    commands = [run.document.get("command") for run in runs]
+    if all(command == commands[0] for command in commands):
+        titles, commands = ["command"], commands[:1]
+    for title, command in zip(titles, commands, strict=True):
         if isinstance(command, list) and command:
             yield title, element("code", None, join(map(str, command)))
 
 
 def of_parts(
-    name: str, runs: Sequence[RunView], begun: Sequence[tuple[int, str]], document: Mapping[str, Any], shown: int
+    name: str, runs: Sequence[RunView], begun: Sequence[tuple[int, str]], document: Mapping[str, Any]
 ) -> Section:
     """The parts of a page called `name` that was turned while it ran, in order; each with its first tick and why."""
     if len(runs) == 1:
         return replace(of_one(runs[0]), title=f"{headed(runs[0].result)}, on the page", under=f"folder {name}")
     differing = _differing([run.result for run in runs])
-    knobs = [", ".join(f"{key} {value}" for key, value in each.items() if value and not key.startswith("law"))
-             for each in differing]
+    knobs = [", ".join(f"{key} {value}" for key, value in each.items() if value and not key.startswith("law") and
+                       key != "duration") for each in differing]
     few = [metric for metric in ("x_err_rms", "f_m_max", "f_m_end", "f_env_end")
            if any(metric in run.result.metrics for run in runs)]
     lines = [[str(i + 1), why, f"{max(k, 0) * run.result.dt:.1f} s", f"{run.result.ticks * run.result.dt:.1f} s",
@@ -219,5 +252,5 @@ def of_parts(
     head = ["part", "began by", "at", "for", "law", "knobs", "status", *[_name_parts(metric) for metric in few]]
     summary = table(head, lines, numbers=False)
     section = of_several(runs, f"{document['scene']}, {len(runs)} parts on the page", f"folder {name}", [summary],
-                         shown)
+                         PARTS, "part")
     return replace(section, sentence=f"{len(runs)} parts: " + section.sentence.partition(": ")[2])

@@ -9,26 +9,29 @@ from argparse import Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from zipfile import BadZipFile
 
 from teleop.errors import Refused
-from teleop.report.figures import figures
+from teleop.report.figures import UNIT, WIDTH, embed, figures
 from teleop.report.markup import Markup, element, pairs, table
 from teleop.report.page import FolderReport, Section, cell, heading, made_by, parameters, sentence_of, with_unit
 from teleop.report.scatter import Mark, Plane, Series, scatter
 from teleop.storage import strict_json as stored
+from teleop.storage.archive import read_arrays
 from teleop.storage.files import read_bytes
 from teleop.storage.strict_json import Misshapen, parse
 from teleop.terminal.answer import Answer
-from teleop.terminal.plotting import BLUE, DARK, GREEN, ORANGE, PINK, PURPLE, RED
+from teleop.terminal.plotting import BLUE, DARK, FAILS, GREEN, ORANGE, PINK, PURPLE, RED, new_figure
 from teleop.terminal.run_plot import LINES
 from teleop.terminal.table import columns, facts, printable
 
-SUMMARY = "summary.json"
+SUMMARY, CURVES = "summary.json", "curves.npz"
 MODES = ("precision", "tune", "advise", "stability", "passivity", "zwidth", "reproduce", "replay")
 HEAD = {"status", "sentence", "scene", "mode", "parameters", "seed", "versions", "command", "dt", "units", "path",
         "notes", "meaning"}
 COLOURS = (BLUE, RED, DARK, GREEN, PINK, ORANGE, PURPLE)
 ROWS, COLUMNS, WIDE = 60, 9, 44  # of a table, and characters of a cell of it
+ETA, AT_REST = 3.0, 1e-6  # greatest drawn of Llewellyn's parameter; from |z| = 1
 ON_PAGE, LONG = 24, 28  # rows of it on a page, and characters of what stands in a line of its own there
 _SHAPE = stored.record(
     {"status": stored.text, "sentence": stored.text, "mode": stored.one_of(*MODES)},
@@ -77,7 +80,7 @@ def study_report(folder: Path, args: Namespace) -> FolderReport:
         text.append(columns([block.head, *block.rows], left=(0,)) if block.head else facts(
             [(row[0], row[1]) for row in block.rows]))
     return FolderReport(folder, Answer("\n\n".join(text), {**document, "path": str(folder)}),
-                section=lambda: _section(folder.resolve().name, document, texts))
+                section=lambda: _section(folder, document, texts))
 
 
 def blocks_of(document: Mapping[str, Any]) -> list[StudyBlock]:
@@ -95,6 +98,8 @@ def blocks_of(document: Mapping[str, Any]) -> list[StudyBlock]:
                       for key, each in value.items() if _plain_values(each) for path in [f"{name}.{key}"]]
             documents += [block for key, each in value.items() if isinstance(each, list) and each and
                       all(isinstance(one, dict) for one in each) for block in _tables(f"{name}.{key}", each, units)]
+        elif isinstance(value, list) and value and all(isinstance(each, str) and len(each) > LONG for each in value):
+            alone += [(name, value[0]), *[("", each) for each in value[1:ROWS]]]
         elif _plain_values(value):
             alone.append((name, with_unit(value, units.get(name, ""))))
     notes = [("note", note) for note in document.get("notes") or ()]
@@ -138,14 +143,19 @@ def _tables(name: str, entries: Sequence[Mapping[str, Any]], units: Mapping[str,
     return documents
 
 
-def _section(name: str, document: Mapping[str, Any], texts: Sequence[StudyBlock]) -> Section:
+def _section(folder: Path, document: Mapping[str, Any], texts: Sequence[StudyBlock]) -> Section:
     mode = str(document["mode"])
     drawn: list[Markup] = []
-    if mode in FIGURES:
-        try:
+    try:
+        if mode in FIGURES:
             drawn = figures(lambda: FIGURES[mode](document))
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError):  # numbers that others wrote
-            drawn = [element("p", {"class": "sub"}, "No figure: the numbers for it are not there.")]
+        elif mode in OF_CURVES:
+            drawn = figures(lambda: OF_CURVES[mode](document, read_arrays(folder / CURVES, None)))
+    except FileNotFoundError:
+        cure = "a run in time has none" if document.get("method") == "run" else "type its command again with --plot"
+        drawn = [element("p", {"class": "sub"}, f"No figure: the folder has no {CURVES}; {cure}.")]
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, OSError, BadZipFile):
+        drawn = [element("p", {"class": "sub"}, "No figure: the numbers for it are not there.")]  # others wrote them
     parts: list[Markup] = []
     for block in texts:
         short = [(row[0], row[1]) for row in block.rows if not block.head and len(row[1]) <= LONG]
@@ -155,8 +165,8 @@ def _section(name: str, document: Mapping[str, Any], texts: Sequence[StudyBlock]
         if len(rows) > ON_PAGE:
             parts.append(element("p", {"class": "sub"}, f"and {len(rows) - ON_PAGE} more, which {SUMMARY} has"))
     return Section(
-        title=f"{document.get('scene') or mode}: {mode}", under=f"folder {name}", status=str(document["status"]),
-        sentence=str(document["sentence"]), blocks=[
+        title=f"{document.get('scene') or mode}: {mode}", under=f"folder {folder.resolve().name}",
+        status=str(document["status"]), sentence=str(document["sentence"]), blocks=[
             *drawn, *parts, *parameters(document.get("parameters") or {}), *made_by(document)])
 
 
@@ -203,4 +213,88 @@ def _zwidth(document: Mapping[str, Any]) -> Iterator[Markup]:
     return scatter("Impedance that can be rendered", [Plane("frequency (Hz)", "impedance (N s/m)", groups)])
 
 
-FIGURES = {"precision": _precision, "tune": _tune, "zwidth": _zwidth}
+def _advise(document: Mapping[str, Any]) -> Iterator[Markup]:
+    """The laws, each with what it is judged by, as `teleop advise --plot` draws them."""
+    from teleop.studies.advise.report import draw_laws
+
+    searched = [each for each in document["laws"] if "terms" in each]
+    if not searched:
+        return
+    figure = new_figure((WIDTH / UNIT, 1.4 + 0.45 * len(searched)))
+    advised = searched[0]["law"] if document["status"] == "done" else None
+    draw_laws(figure.subplots(), searched, advised)
+    title = "Laws over this link"
+    values = [f"{each['law']}: {each['broken'] or format(float(each['value']), '.3f')}" for each in searched]
+    yield heading(title)
+    yield embed(figure, title, f"{title}, 0 as a rigid rod, 1 as a law that does nothing. {'; '.join(values)}.")
+
+
+def _curve(name: str, colour: str, x: Any, y: Any, line: str = "-") -> Series:
+    return Series(name, colour, [Mark(float(a), float(b), "") for a, b in zip(x, y, strict=True)], line)
+
+
+def _level(x: Any) -> Series:
+    """A line at 1, which a criterion compares with."""
+    return _curve("1", DARK, (x[0], x[-1]), (1.0, 1.0), "--")
+
+
+def _passivity(document: Mapping[str, Any], curves: Mapping[str, Any]) -> Iterator[Markup]:
+    """Impedances and Llewellyn's parameter of two ports over frequency; of one port the damping that its hold needs."""
+    import numpy as np
+
+    along, unit = "frequency (Hz)", (document.get("units") or {}).get("damping", "N s/m")
+    if document["ports"] == 1:
+        f = curves["frequency"]
+        lines = [_curve("needed", BLUE, f, curves["needed_damping"]),
+                 _curve("of the device", GREEN, (f[0], f[-1]), [document["damping"]] * 2, "--")]
+        if "damping_with_shunt" in curves:
+            lines.append(_curve("with the shunt of its motor", ORANGE, f, curves["damping_with_shunt"]))
+        yield from scatter("Damping that the held force needs", [Plane(along, f"damping ({unit})", lines)])
+        return
+    name = next(name for name in ("sampled", "continuous") if f"{name}_h" in curves)
+    f, h = curves[f"{name}_frequency"], curves[f"{name}_h"]
+    unit = (document.get("units") or {}).get("free_impedance", "N s/m")
+    planes = [Plane(along, f"impedance ({unit})", [
+        _curve("free motion", BLUE, f, np.abs(h[:, 0, 0])), _curve("master held", RED, f, 1.0 / np.abs(h[:, 1, 1]))])]
+    if f"{name}_felt" in curves:
+        planes.append(Plane(along, f"impedance ({unit})", [
+            _curve("felt by the hand", GREEN, f, np.abs(curves[f"{name}_felt"])),
+            _curve("touched by the slave", PURPLE, f, np.abs(curves[f"{name}_touched"]))]))
+    yield from scatter(f"Impedances, {name}", planes)
+    eta = np.clip(curves[f"{name}_eta"], -1.2, ETA)
+    yield from scatter(f"Llewellyn's parameter, {name}: absolutely stable where it is 1 and more", [
+        Plane(along, f"parameter, drawn up to {ETA:g}", [_curve("", BLUE, f, eta), _level(f)], decades="x")])
+
+
+def _stability(document: Mapping[str, Any], curves: Mapping[str, Any]) -> Iterator[Markup]:
+    """Roots and open loop, and margins over a knob."""
+    import numpy as np
+
+    z = curves["roots"]
+    around = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 181))
+    planes = [Plane("Re z", "Im z", [
+        _curve("", DARK, around.real, around.imag),
+        *[Series(name, colour, [Mark(float(one.real), float(one.imag), f"|z| = {abs(one):.6f}") for one in some])
+          for name, colour, some in (("grows", FAILS, z[np.abs(z) > 1.0 + AT_REST]),
+                                     ("does not grow", BLUE, z[np.abs(z) <= 1.0 + AT_REST]))]], decades="", round=True)]
+    if "L" in curves:
+        f, sizes = curves["frequency"], np.abs(curves["L"])
+        branches = [_curve("|L|", COLOURS[j % len(COLOURS)], f, sizes[:, j]) for j in range(sizes.shape[1])
+                    if sizes[:, j].max() > 0.0]
+        if branches:
+            planes.append(Plane("frequency (Hz)", "open loop |L|", [*branches, _level(f)]))
+    yield from scatter("Roots z of the sampled loop" + ", and open loop" * (len(planes) > 1), planes)
+    if "swept_values" in curves:
+        knob, values = document["critical"]["knob"], curves["swept_values"]
+        units = document.get("units") or {}
+        unit = units.get("critical.value", units.get("value", ""))
+        over = {"growth rate (1/s)": curves["swept_growth"],
+                "gain margin (dB)": 20.0 * np.log10(curves["swept_gain_margin"]),
+                "phase margin (deg)": np.degrees(curves["swept_phase_margin"])}
+        yield from scatter(f"Margins over {knob}; critical where the growth rate passes 0", [
+            Plane(f"{knob} ({unit})" if unit else knob, name, [_curve("", BLUE, values, each)], decades="x")
+            for name, each in over.items()])
+
+
+FIGURES = {"precision": _precision, "tune": _tune, "zwidth": _zwidth, "advise": _advise}
+OF_CURVES = {"passivity": _passivity, "stability": _stability}

@@ -9,7 +9,7 @@ from shlex import join
 from typing import Any, NamedTuple
 
 from teleop.report.figures import NO_FIGURE
-from teleop.report.markup import DIGEST, STYLE, Markup, element, empty, facts, pairs
+from teleop.report.markup import DIGEST, STYLE, Markup, element, empty, facts, pairs, unbroken
 from teleop.simulation.result import Result
 from teleop.terminal.answer import Answer
 from teleop.version import __version__
@@ -60,7 +60,7 @@ def outcome(status: str, sentence: str) -> Markup:
     """A status and its sentence, which may begin with the status itself."""
     rest = sentence.removeprefix(status).lstrip(": ") if status else sentence
     kind = "good" if status in GOOD else None if status in ENDED else "bad"
-    return element("p", {"class": "out"}, *[element("b", {"class": kind}, status)] * bool(status), rest)
+    return element("p", {"class": "out"}, *[element("b", {"class": kind}, status)] * bool(status), *unbroken(rest))
 
 
 def heading(title: str) -> Markup:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import isfinite
+from math import isfinite, nan
 from typing import NamedTuple
 
 from teleop.report.figures import BOTTOM, LEFT, RIGHT, TEXT, TITLE, WIDTH, Box, embed, page_figure, panel
@@ -36,21 +36,26 @@ class Series(NamedTuple):
 
 
 class Plane(NamedTuple):
-    """A panel of points: what its axes are called, with units."""
+    """A panel of points: what its axes are called, with units.
+
+    `decades`: axes that are scaled by decades where their values ask for it; `round`: both axes have the same scale.
+    """
 
     x: str
     y: str
     groups: Sequence[Series]
+    decades: str = "xy"
+    round: bool = False
 
 
 def scatter(title: str, planes: Sequence[Plane]) -> Iterator[Markup]:
     """A figure with a panel for each plane that has points."""
-    some = [plane._replace(groups=[group._replace(points=[p for p in group.points if _finite(p)])
-                                   for group in plane.groups]) for plane in planes]
-    some = [plane for plane in some if any(group.points for group in plane.groups)]
+    some = [plane._replace(groups=[group for group in plane.groups if any(map(_finite, group.points))])
+            for plane in planes]
+    some = [plane for plane in some if plane.groups]
     if not some:
         return
-    entries = len({group.name for plane in some for group in plane.groups})
+    entries = len({group.name for plane in some for group in plane.groups} - {""})
     top = 14.0 * -(-entries // ACROSS) + TITLE + 6.0
     height = top + HEIGHT + BOTTOM + 13.0
     figure = page_figure(height)
@@ -59,14 +64,20 @@ def scatter(title: str, planes: Sequence[Plane]) -> Iterator[Markup]:
     for i, plane in enumerate(some):
         axes = panel(figure, Box(LEFT + i * (wide + LEFT), top, wide, HEIGHT), literal(plane.y))
         axes.set_xlabel(literal(plane.x), fontsize=TEXT, loc="right")
-        points = [point for group in plane.groups for point in group.points]
+        points = [point for group in plane.groups for point in group.points if _finite(point)]
         for group in plane.groups:
-            marker = "o" if group.line == "none" or len(group.points) <= MOST_DOTS else ""
-            x, y = [point.x for point in group.points], [point.y for point in group.points]
-            lines[literal(group.name)], = axes.plot(x, y, marker=marker, color=group.colour, linestyle=group.line,
-                                                    markersize=6.0, gid=names_id(point.name for point in group.points))
-        scale_by_decades(axes, "x", [point.x for point in points])
-        scale_by_decades(axes, "y", [point.y for point in points])
+            drawn = [point if _finite(point) else Mark(nan, nan, point.name) for point in group.points]
+            named = any(point.name for point in drawn)
+            level = not named and len(drawn) == 2
+            marker = "o" if group.line == "none" or (len(drawn) <= MOST_DOTS and not level) else ""
+            lines[literal(group.name)], = axes.plot(
+                [point.x for point in drawn], [point.y for point in drawn], marker=marker, color=group.colour,
+                linestyle=group.line, markersize=6.0, gid=names_id(point.name for point in drawn) if named else None)
+        for name, values in (("x", [point.x for point in points]), ("y", [point.y for point in points])):
+            if name in plane.decades:
+                scale_by_decades(axes, name, values)
+        if plane.round:
+            axes.set_aspect("equal", adjustable="datalim")
         write_names(axes, figure, [(point.name, point.x, point.y) for point in points if point.written])
         words.append(f"{plane.y} from {min(p.y for p in points):.3g} to {max(p.y for p in points):.3g} over {plane.x} "
                      f"from {min(p.x for p in points):.3g} to {max(p.x for p in points):.3g}")

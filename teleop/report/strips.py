@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.report.figures import BETWEEN, LEFT, RIGHT, TEXT, TITLE, WIDTH, embed, grid_of, page_figure, panel
 from teleop.report.markup import Markup, element
 from teleop.scene.axes import AxisLabels
+from teleop.simulation.metrics import ROUNDING
 from teleop.terminal.options import APART, TOGETHER, axes_of, by_unit, left_out, most_worked
 from teleop.terminal.plotting import DARK, UNDER, literal, names_id
 from teleop.terminal.run_plot import LINES, PANELS, TracePanel, axis_curves, extremes, power_of_thousand
@@ -194,9 +195,14 @@ def plain_number(label: str) -> str:
 def _description(panel: TracePanel, runs: Sequence[Strip], drawn: Sequence[Sequence[Drawn]]) -> str:
     """The figure in words, for who does not see it: each curve with its least and its greatest value."""
     legend_names = []
-    for run, curves in zip(runs, drawn, strict=True):
-        ranges = [(curve.name, *curve.range()) for curve in curves]
-        words = "; ".join(f"{name} from {si(low, panel.unit)} to {si(high, panel.unit)}" if low <= high else
+    every = [[(curve.name, *curve.range()) for curve in curves] for curves in drawn]
+    least = ROUNDING * max((max(-low, high) for ranges in every for _, low, high in ranges if low <= high), default=0.0)
+
+    def size(value: float) -> str:
+        return si(value if abs(value) >= least else 0.0, panel.unit)
+
+    for run, ranges in zip(runs, every, strict=True):
+        words = "; ".join(f"{name} from {size(low)} to {size(high)}" if low <= high else
                           f"{name} has no value" for name, low, high in ranges)
         legend_names.append(f"{run.title}: {words or 'it has none'}" if len(runs) > 1 else words)
     return f"{panel.quantity.capitalize()} over time. {'. '.join(legend_names)}."

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from teleop.errors import NamedValues, Refused
 from teleop.law import law_name
 from teleop.scene.axes import AxisLabels, labels_in, labels_of
 from teleop.scene.library import own_file
 from teleop.scene.scene import Scene
-from teleop.simulation.metrics import UNITS, finite, worked_out
+from teleop.simulation.metrics import UNITS, finite, resolved, worked_out
 from teleop.simulation.plan import Packets
 from teleop.simulation.trace import blocks
 from teleop.storage.files import read_bytes, replacing
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from teleop.simulation.ending import Ending
 
 RUNNING = "still running"  # the status of a live run that has not ended: its result is of the ticks recorded so far
+strips_of: Callable[[Result], str] | None = None  # figures in a notebook; `teleop`, which may draw, sets it
 LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
 
 
@@ -74,7 +76,7 @@ class Result:
     packets: Mapping[str, Packets]
     notes: Sequence[str] = ()
     extra: Mapping[str, object] = field(default_factory=dict)
-    trace: Mapping[str, Any] = field(default_factory=dict)
+    trace: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)  # seq_m and seq_s: whole numbers
     path: Path | None = None
 
     def __repr__(self) -> str:
@@ -83,13 +85,14 @@ class Result:
         return f"Result({self.scene}, law {law}, {self.mode}: {self.status}, {self.ticks} ticks of {self.dt:g} s)"
 
     def _repr_html_(self) -> str:
-        """A table for a notebook: how the run ended, its figures with units, its notes."""
+        """Strips over time and a table for a notebook: how the run ended, its figures with units, its notes."""
         rows = [("status", f"{self.status}: {self.sentence}"), ("law", law_with_gains(self.parameters.get("law"))),
                 *[(name, f"{value:.4g} {self.labels.unit(UNITS[name])}".removesuffix(" 1"))
-                  for name, value in self.metrics.items()],
+                  for name, value in resolved(self.metrics).items()],
                 *[("note", note) for note in self.notes]]
         cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows)
-        return f"<table><caption>{escape(self.scene)}, {self.mode}, seed {self.seed}</caption>{cells}</table>"
+        table = f"<table><caption>{escape(self.scene)}, {self.mode}, seed {self.seed}</caption>{cells}</table>"
+        return table if strips_of is None else strips_of(self) + table
 
     @property
     def labels(self) -> AxisLabels:

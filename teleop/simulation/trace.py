@@ -47,7 +47,7 @@ class EndRecord(NamedTuple):
     force: ForceSource | None = None  # of a live end; None: a run in virtual time, whose bodies are the scene's own
 
 
-class Columns(Mapping[str, Any]):
+class Columns(Mapping[str, "NDArray[np.float64]"]):
     """The columns of a trace by name, each an array made when it is asked for and not kept: half an hour is 15 MB each.
 
     `makers` has the function that makes each.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from math import prod
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
@@ -28,8 +29,10 @@ _NAME = re.compile(r"([A-Za-z_][A-Za-z0-9_]{0,63})\.npy")
 _HEAD = 4096  # bytes that numpy's head of one array takes at most
 
 
-def read_arrays(path: Path, rows: int) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, rows: int | None) -> dict[str, NDArray[Any]]:
     """The arrays of the archive at `path` by name: numbers or truths, each (rows,) or (rows, axes).
+
+    Without `rows` they are those of an analysis: each of its own length, complex too, with up to three dimensions.
 
     Raises `OSError`, `Misshapen`, or what `zipfile` and numpy raise of a broken archive. A link is not followed.
     """
@@ -90,29 +93,32 @@ def _parts(archive: ZipFile, file: BinaryIO) -> list[tuple[str, ZipInfo]]:
     return [*parts_by_name.items()]
 
 
-def _head(stream: IO[bytes], part: ZipInfo, name: str, rows: int) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+def _head(stream: IO[bytes], part: ZipInfo, name: str, rows: int | None) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Shape, is it stored column by column, and type of an array; leaves `stream` at its numbers."""
     from numpy.lib.format import read_array_header_1_0, read_magic
 
     if read_magic(stream) != (1, 0):
         raise Misshapen(f"{name} is no array of numpy's format 1.0")
     shape, by_columns, dtype = read_array_header_1_0(stream, max_header_size=_HEAD)
-    if dtype.kind not in "fiub" or not (4 if dtype.kind == "f" else 1) <= dtype.itemsize <= 8:
+    numbers = dtype.kind in "fiub" and (4 if dtype.kind == "f" else 1) <= dtype.itemsize <= 8
+    if not (numbers or (rows is None and dtype.kind == "c" and dtype.itemsize == 16)):
         raise Misshapen(f"{name} holds {dtype}, and a trace holds numbers")
-    if shape[:1] != (rows,) or len(shape) > 2 or not all(1 <= each <= MOST_AXES for each in shape[1:]):
+    most = 2 if rows is not None else 3
+    if not 1 <= len(shape) <= most or rows not in (None, shape[0]) or not all(
+            1 <= each <= MOST_AXES for each in shape[1:]):
         raise Misshapen(f"{name} is of shape {shape}, and the run has {rows} rows")
-    count = rows * (shape[1] if len(shape) == 2 else 1)
+    count = prod(shape)
     if part.file_size - stream.tell() != count * dtype.itemsize:
         raise Misshapen(f"{name} is of another size than its head says")
     return shape, by_columns, dtype
 
 
-def _array(archive: ZipFile, part: ZipInfo, name: str, rows: int) -> NDArray[Any]:
+def _array(archive: ZipFile, part: ZipInfo, name: str, rows: int | None) -> NDArray[Any]:
     import numpy as np
 
     with archive.open(part) as stream:
         shape, by_columns, dtype = _head(stream, part, name, rows)
-        flat: NDArray[Any] = np.empty(rows * (shape[1] if len(shape) == 2 else 1), dtype)
+        flat: NDArray[Any] = np.empty(prod(shape), dtype)
         _fill(stream, flat.view(np.uint8), last=True)
     got = flat.reshape(shape[::-1]).T if by_columns else flat.reshape(shape)
     return np.asarray(got)

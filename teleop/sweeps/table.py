@@ -176,6 +176,12 @@ class Table:
     def __len__(self) -> int:
         return len(self._columns["row"].cells)
 
+    def __repr__(self) -> str:
+        """Rows, knobs, metrics and how the rows ended, in one line."""
+        ended = ", ".join(f"{count} {status}" for status, count in self.counts().items())
+        return (f"Table({number_of(len(self), 'row')} of {', '.join(self.knobs) or 'seeds'}: {ended or 'none yet'}; "
+                f"metrics {', '.join(self.metrics)})")
+
     def __iter__(self) -> Iterator[dict[str, Any]]:
         """Each row as the dict that it came as."""
         absent = {*self.metrics, "sentence"}

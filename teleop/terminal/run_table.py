@@ -1,9 +1,11 @@
 """The table of a run, as a person reads it in a terminal."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from teleop.errors import number_of
+from teleop.simulation.metrics import resolved
 from teleop.simulation.plan import Packets
 from teleop.simulation.result import Result, law_with_gains
 from teleop.terminal.table import facts, si
@@ -22,7 +24,8 @@ def table(result: Result) -> str:
 
 def rows(result: Result) -> Iterator[tuple[str, str]]:
     """The figures of a run and its notes, each with its label."""
-    yield from ((label, text) for label, tell in _ROWS for text in tell(result))
+    shown = replace(result, metrics=resolved(result.metrics))
+    yield from ((label, text) for label, tell in _ROWS for text in tell(shown))
     yield from (("note", note) for note in result.notes)
 
 

@@ -6,7 +6,7 @@
     alike    compiled for eight side by side that share link and path
     apart    the same, each with a link and a path of its own
     stepped  two ends with their protocol, stepped in one process, beside a single run
-    c        each end printed as C and compiled, beside its generator, tame and wild (`teleop.emit`)
+    printed  each end printed as C and compiled, beside its generator, tame and wild (`teleop.emit`)
 
 X: in the ordinary suite, x: there without the figures that are fitted to sums, which take more than half of a kernel's
 compiling, f: with `-m full`, -: the engine refuses such a scene, blank: not held here. Kernels are kept in the user's
@@ -14,6 +14,8 @@ cache folder, so each is compiled once.
 """
 
 from __future__ import annotations
+
+import re
 
 import pytest
 
@@ -32,7 +34,7 @@ from tests.engines.engines import (
 )
 
 TABLE = """
-                                        tick  plain  scalar  alike  apart  stepped c
+                                        tick  plain  scalar  alike  apart  stepped printed
 waves by their integral                 X     X      X       f      x      X       f
 waves of three axes                     f     f      f       f      f      f       f
 waves, ticks left out                   X     f      f              f      -       f
@@ -67,11 +69,11 @@ end fit of one reading                  f     f      f                     -    
 levant                                  f     f      f                     -       f
 """
 HEAD, *LINES = TABLE.strip("\n").splitlines()
-PLACES = {engine: HEAD.index(engine) for engine in HEAD.split()}
+PLACES = {word.group(): word.start() for word in re.finditer(r"\S+", HEAD)}
 CELLS = {(line[:40].strip(), engine): line[place:place + 1].strip()
          for line in LINES for engine, place in PLACES.items()}
 COMPILED = ("canonical", "recorded_reach", "encoder_wall", "virtual_coupling", "jittery_wan")
-CELLS |= {(name, engine): "f" for name in built_in_scenes() if name != "lte" for engine in ("tick", "plain", "c")}
+CELLS |= {(name, engine): "f" for name in built_in_scenes() if name != "lte" for engine in ("tick", "plain", "printed")}
 CELLS |= {(name, "scalar"): "f" for name in COMPILED}
 RUN = [pytest.param(name, engine, id=f"{engine}-{name.replace(' ', '_')}", marks=[pytest.mark.full] * (cell == "f"))
        for (name, engine), cell in CELLS.items() if cell in ("X", "x", "f")]
@@ -80,6 +82,7 @@ RUN = [pytest.param(name, engine, id=f"{engine}-{name.replace(' ', '_')}", marks
 def test_the_table_has_every_case() -> None:
     assert {name for name, _ in CELLS} == {*CASES}
     assert {*CELLS.values()} == {"X", "x", "f", "-", ""}
+    assert {engine for (_, engine), cell in CELLS.items() if cell == "X"} == {*PLACES}
 
 
 @pytest.mark.parametrize(("name", "engine"), RUN)
@@ -89,7 +92,7 @@ def test_an_engine_gives_the_bits_of_a_single_run(name: str, engine: str) -> Non
         assert_as_plain(name, engine, sums=CELLS[name, engine] != "x")
     else:
         {"tick": assert_as_it_stands, "plain": assert_as_runs, "stepped": assert_stepped,
-         "c": assert_printed}[engine](name)
+         "printed": assert_printed}[engine](name)
 
 
 @pytest.mark.parametrize(("name", "engine"), [cell for cell, mark in CELLS.items() if mark == "-"])

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from teleop.__main__ import main
 from tests.programs import program
 from tests.scenarios.examples.compiled import compiled
 
@@ -21,22 +20,17 @@ FORMS = [pytest.param(SHORT, id="short"),
 LAWS = {"pp": ["--set", "law=pp"], "wave": []}
 
 
-@pytest.fixture(scope="module")
-def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return compiled("c_end", tmp_path_factory.mktemp("c"), Path(__file__).with_name("c_end.c"))
-
-
 @pytest.mark.parametrize("datagrams", FORMS)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("role", ["slave", "master"])
 def test_clocks_and_echoes_of_a_datagram_overflowed(
-    fuzzer: Path, role: str, law: str, datagrams: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    role: str, law: str, datagrams: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`sent_ns`, `@tick 0` and echo times of 64 bits were subtracted before they were looked at."""
-    manifest = tmp_path / "manifest"
-    assert main(["manifest", "hard_wall", *LAWS[law], "--write", str(manifest), "--json"]) == 0
+    end = ("hard_wall", *LAWS[law], "--end", role[0])
+    fuzzer = compiled("c_end", tmp_path, Path(__file__).with_name("c_end.c"), end=end)
     capsys.readouterr()
-    words = [program(fuzzer), role, str(manifest), str(datagrams), "17"]
+    words = [program(fuzzer), role, str(datagrams), "17"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr  # a sanitizer, or a force that was none
     counts = json.loads(done.stdout)

@@ -1,11 +1,19 @@
-/* One end of a teleoperation in C, slave or master, of one axis: position-position or waves. See README.md beside this.
+/* One end of a teleoperation in C, slave or master, around the law and the guard that `teleop emit` has printed.
 
-       end slave|master ADDRESS PORT MANIFEST SECONDS [LOG]
+       end slave|master ADDRESS PORT SECONDS [LOG]
 
-   MANIFEST is written by `teleop manifest SCENE --write MANIFEST`. Only `device_read` and `device_hold` know what
-   stands at this end: here a simulated body, with a wall at the slave's and a hand at the master's. */
+   It is compiled for one printed end: cc -DEND=hard_wall_s ... See README.md beside this. Only `device_read` and
+   `device_hold` know what stands at this end: here simulated bodies, with walls at the slave's and hands at the
+   master's. */
 #define _POSIX_C_SOURCE 200809L
 #include "wire.h"
+
+#define JOIN_(a, b) a##b
+#define JOIN(a, b) JOIN_(a, b)
+#define OF(word) JOIN(END, word) /* a word of the printed end, as in OF(_step) */
+#define QUOTE_(x) #x
+#define QUOTE(x) QUOTE_(x)
+#include QUOTE(JOIN(END, _wire.h))
 
 #include <arpa/inet.h>
 #include <errno.h>
@@ -21,18 +29,15 @@
 
 #define MS 1000000LL
 enum { MEETING, STARTING, RUNNING, OVER }; /* MEETING: a slave listens, a master asks */
-enum { PACKET = 100, SHORTEST = 1200, ROOM = 96, WELCOMES = 256, ROUNDS = 5, NEXT = 16, MOST_EVERY = 1000 };
-static const int64_t DT = MS, AGAIN = 50 * MS, RENEW_AFTER = 1000 * MS, LEAD = 150 * MS, MOST_RTT = 60000 * MS;
+enum { AXES = OF(_axes), PACKET = OF(_bytes), SHORTEST = 1200, ROOM = 96, WELCOMES = 256, ROUNDS = 5, NEXT = 16, MOST_EVERY = 1000 };
+static const int64_t DT = OF(_tick_ns), AGAIN = 50 * MS, RENEW_AFTER = 1000 * MS, LEAD = 150 * MS, MOST_RTT = 60000 * MS;
 static const int64_t MOST_CLOCK = 1LL << 61; /* beyond that, either way, a clock is not believed */
 static const int64_t EARLY = 200 * MS; /* a message from further ahead than that is not believed */
-static const double TIMEOUT = 0.2, RAMP = 0.05, SETTLE = 0.1; /* s, of the watchdog */
-static const double F_MAX = 20.0, SLEW = 2000.0;             /* N, N/s */
-static const char *PP = "pp PositionPosition(K=400.0, B=4.0, rejoin=2.0)";
-static const char *WAVE = "wave Wave(b=20.0, K=1000.0, B=20.0)";
 
 static volatile sig_atomic_t stopped; /* 1: its time is over; 2: refused; 3: not finite; 4: by a signal */
-static int sock, master, waves, width, state, ended;
-static Text manifest;
+enum { master = OF(_is_master), width = OF(_hears), integrals = OF(_integrals) };
+static int sock, state, ended;
+static const Text manifest = {OF(_manifest), sizeof OF(_manifest)};
 static struct sockaddr_in peer, asked; /* whom this end has met, and where a master asks */
 static uint64_t session, former;
 static int64_t start_ns, begun_ns, again_ns, heard_ns, unheard_ns, first_ns = 2000 * MS; /* heard 0: nothing yet */
@@ -59,77 +64,49 @@ static int64_t round_trip(const Packet *in, int64_t now) { /* of an echo that ca
     return rtt < 0 || rtt > MOST_RTT ? -1 : rtt;
 }
 
-/* The device: replace these two by your driver's. x in m, v in m/s, f in N. */
+/* The device: replace these two by your driver's. x in m, v in m/s, f in N, one number an axis. */
 
-static double body_x, body_v, body_f;
+static double body_x[AXES], body_v[AXES], body_f[AXES];
 
 static void device_read(double t, double *x, double *v) {
-    double mass = 0.5, push; /* the hand's or the wall's force, and the motor's */
-    if (master) push = 200.0 * (0.02 * (1.0 - cos(3.0 * t)) - body_x) - 5.0 * body_v - body_f;
-    else push = body_f - 1.0 * body_v - (body_x > 0.03 ? 2000.0 * (body_x - 0.03) + 10.0 * body_v : 0.0);
-    body_v += push / mass * DT / 1e9;
-    body_x += body_v * DT / 1e9;
-    *x = body_x;
-    *v = body_v;
+    for (int i = 0; i < AXES; i++) {
+        double mass = 0.5, push; /* the hand's or the wall's force, and the motor's */
+        if (master) push = 200.0 * (0.02 * (1.0 - cos((3.0 + i) * t)) - body_x[i]) - 5.0 * body_v[i] - body_f[i];
+        else push = body_f[i] - body_v[i] - (body_x[i] > 0.03 ? 2000.0 * (body_x[i] - 0.03) + 10.0 * body_v[i] : 0.0);
+        body_v[i] += push / mass * (double)DT / 1e9;
+        body_x[i] += body_v[i] * (double)DT / 1e9;
+        x[i] = body_x[i];
+        v[i] = body_v[i];
+    }
 }
 
-static void device_hold(double f) { body_f = f; }
+static void device_hold(const double *f) { memcpy(body_f, f, sizeof body_f); }
 
-/* The laws: teleop/laws/pp.py and wave.py. Waves are played by their integral, within the energy that came. */
+/* The printed end: law, stages and guard. Its positions count from where the session began. */
 
-static double origin, offset, gain, x_d, v_d, force; /* of the law; positions count from `origin` */
-static double T, U, E, q, P, G, p, T0, U0, E0;       /* waves sent, waves played, and what had come before */
+static OF(_end) end;
+static OF(_moment) moment;
+static OF(_answer) answer;
+static int begun_of; /* the session that it was begun for */
+static double before[MOST_NUMBERS]; /* the integrals of waves that came before this session's first message */
 static int based, joined;
-static double quiet; /* s of fresh messages */
 
-static void begin_law(void) {
-    origin = body_x;
-    offset = x_d = v_d = T = U = E = q = P = G = p = T0 = U0 = E0 = quiet = 0.0;
-    based = !joined && met == 1; /* a peer that was there before us has sent waves that are not ours to play */
-    gain = met == 1 && !joined ? 1.0 : 0.0;
+static int holds_force(void) { /* does the motor hold any */
+    for (int i = 0; i < AXES; i++) if (answer.force[i] != 0.0) return 1;
+    return 0;
 }
 
-static double play(double span) { /* the received wave: all that is owed, in one tick if its energy allows it */
-    const double *came = newest.seq < 0 ? NULL : newest.packet.number, dt = DT / 1e9;
-    if (came && !based) { U0 = came[1]; E0 = came[2]; T0 = came[3]; based = 1; }
-    P += (span - dt) * p;
-    G += (span - dt) * 0.5 * p * p;
-    double owed = came ? came[1] - U0 - P : 0.0, left = came ? fmax(came[2] - E0 - G, 0.0) : 0.0;
-    p = left > 0.0 ? owed / fmax(dt, owed * owed / (2.0 * left)) : 0.0;
-    P += dt * p;
-    G += dt * 0.5 * p * p;
-    return p;
-}
-
-static double law(double x, double v, double span, double *message) {
-    const double *came = newest.seq < 0 ? NULL : newest.packet.number, dt = DT / 1e9;
-    if (!waves) {
-        double K = 400.0, B = 4.0, rejoin = 2.0, rx = came ? came[0] : 0.0, rv = came ? came[1] : 0.0;
-        double apart = master ? x - rx : rx - x, faster = master ? v - rv : rv - v;
-        offset = (offset + (1.0 - gain) * (apart - offset)) * fmax(1.0 - rejoin * span, 0.0);
-        message[0] = x;
-        message[1] = v;
-        return K * (apart - offset) + B * faster;
-    }
-    double b = 20.0, K = 1000.0, B = 20.0, root = sqrt(2.0 * b), wave = play(span), f, out;
-    if (master) {
-        f = b * v - root * wave;
-        out = root * v - wave;
-    } else {
-        x_d += (span - dt) * v_d;
-        v_d = (root * wave - gain * (K * (x_d - x) - B * v)) / ((2.0 - gain) * b + gain * (B + K * dt));
-        x_d += dt * v_d;
-        f = K * (x_d - x) + B * (v_d - v);
-        out = wave - 2.0 / root * (gain * f + (1.0 - gain) * b * v_d);
-    }
-    T += span;
-    U += (span - dt) * q + dt * out;
-    E += (span - dt) * 0.5 * q * q + dt * 0.5 * out * out;
-    q = message[0] = out;
-    message[1] = U;
-    message[2] = E;
-    message[3] = T;
-    return f;
+static void hear(void) { /* the newest message, for the printed end */
+    double number[MOST_NUMBERS];
+    if (newest.seq < 0) { moment.got = 0; return; }
+    memcpy(number, newest.packet.number, sizeof number);
+    if (!based && joined) /* a peer that was there before us has sent waves that are not ours to play */
+        memcpy(before, number, sizeof before);
+    based = 1;
+    for (int i = width - integrals; i < width; i++) number[i] -= before[i];
+    OF(_take)(&moment, number);
+    moment.got = 1;
+    moment.number = (uint32_t)newest.seq;
 }
 
 /* The session */
@@ -164,7 +141,7 @@ static void end_session(const char *why) {
 }
 
 static void begin(int64_t tick_0, int64_t now, int new_state) {
-    joined = tick_0 < now;
+    joined = tick_0 < now || met > 0;
     start_ns = tick_0;
     state = new_state;
     met++;
@@ -174,7 +151,8 @@ static void begin(int64_t tick_0, int64_t now, int new_state) {
     newest.seq = -1;
     last_k = (now - start_ns) / DT - (tick_0 > now);
     if (last_k < -1) last_k = -1;
-    begin_law();
+    based = 0;
+    memset(before, 0, sizeof before);
     fprintf(stderr, "met %d, session %016llx\n", met, (unsigned long long)session);
 }
 
@@ -182,7 +160,7 @@ static int is_silent(int64_t now) {
     return heard_ns ? now - heard_ns > RENEW_AFTER : now - begun_ns > (master ? first_ns : RENEW_AFTER);
 }
 
-static int is_free(int64_t now) { return !met || (force == 0.0 && (state == OVER || is_silent(now))); }
+static int is_free(int64_t now) { return !met || (!holds_force() && (state == OVER || is_silent(now))); }
 
 static int64_t rate(Text entries) { /* a peer ticks at every so many ticks of the grid */
     int64_t n;
@@ -258,16 +236,19 @@ static void welcome(const Packet *in, int64_t now) {
 }
 
 static int adds_up(const double *new, const double *old, int64_t ticks) { /* what waves have come to: WIRE.md */
-    double t = new[3] - old[3], u = fabs(new[1] - old[1]), e = new[2] - old[2], slack = 1e-15 * (double)ticks;
-    u -= slack * (fabs(new[1]) + fabs(old[1]));
-    e += slack * (new[2] + old[2]);
-    double least = (double)(every < ticks ? every : ticks) * 1e-3 * (1.0 - 1e-6);
-    return t >= least && t <= (double)ticks * 1e-3 * (1.0 + 1e-6) && e >= 0.0 &&
-           (u <= 0.0 || u * u <= 2.0 * (1.0 + 1e-9) * t * e);
+    double t = new[width - 1] - old[width - 1], slack = 1e-15 * (double)ticks, dt = (double)DT / 1e9;
+    double least = (double)(every < ticks ? every : ticks) * dt * (1.0 - 1e-6);
+    if (!(t >= least && t <= (double)ticks * dt * (1.0 + 1e-6))) return 0;
+    for (int i = width - integrals; i + 1 < width; i += 2) {
+        double u = fabs(new[i] - old[i]) - slack * (fabs(new[i]) + fabs(old[i]));
+        double e = new[i + 1] - old[i + 1] + slack * (new[i + 1] + old[i + 1]);
+        if (!(e >= 0.0 && (u <= 0.0 || u * u <= 2.0 * (1.0 + 1e-9) * t * e))) return 0;
+    }
+    return 1;
 }
 
 static void data(const Packet *in, int64_t now) {
-    static const double nothing[4];
+    static const double nothing[MOST_NUMBERS];
     int64_t tick = (now - start_ns) / DT, seq = tick + (int32_t)(in->seq - (uint32_t)tick);
     if (seq > tick + (EARLY + rtt_ns / 2) / DT) { /* we stood still, or it is no message of this run */
         rejected++;
@@ -275,7 +256,7 @@ static void data(const Packet *in, int64_t now) {
         return;
     }
     if (seq < 0 || seq <= newest.seq) return; /* overtaken, or a copy: what is newer was taken */
-    if (waves && !adds_up(in->number, newest.seq < 0 ? nothing : newest.packet.number,
+    if (integrals && !adds_up(in->number, newest.seq < 0 ? nothing : newest.packet.number,
                           newest.seq < 0 ? seq + every : seq - newest.seq)) { rejected++; return; }
     received++;
     early = 0;
@@ -311,7 +292,7 @@ static void receive(const uint8_t *bytes, size_t size, const struct sockaddr_in 
 
 static void due(int64_t now) { /* what has to be said again, and whether the session is over */
     if ((state == STARTING || state == RUNNING) && is_silent(now) && (master || heard_ns)) end_session("nothing came");
-    if (state == OVER && master && force == 0.0 && !stopped && !ended) {
+    if (state == OVER && master && !holds_force() && !stopped && !ended) {
         former = session++;
         rounds = 0;
         first_ns = answered ? 2000 * MS : first_ns * 2 > MOST_RTT ? MOST_RTT : first_ns * 2;
@@ -349,33 +330,34 @@ static void follow(int64_t k) { /* the slave's grid goes with the master's clock
 }
 
 static void tick(int64_t k, int64_t now) {
-    double span = (double)(k - last_k) * DT / 1e9, step = SLEW * DT / 1e9, x, v, f, silent;
-    Packet message = {.kind = master ? FORTH : BACK, .session = session, .seq = (uint32_t)k, .width = width};
-    device_read((double)k * DT / 1e9, &x, &v);
-    silent = (double)(now - (heard_ns ? heard_ns : begun_ns)) / 1e9;
-    int well = state != OVER && !stopped && silent <= TIMEOUT && (double)unheard_ns / 1e9 <= TIMEOUT &&
-               (double)(k - last_k) * DT / 1e9 <= TIMEOUT;
-    quiet = well && heard_ns ? quiet + span : 0.0;
-    if (!well) gain = fmax(0.0, gain - span / RAMP);
-    else if (gain < 1.0 && answered && quiet > SETTLE) gain = fmin(1.0, gain + DT / 1e9 / RAMP);
+    static const double zero[AXES];
+    Packet message = {.kind = master ? FORTH : BACK, .session = session, .seq = (uint32_t)k, .width = OF(_sends)};
+    device_read((double)k * (double)DT / 1e9, moment.x, moment.v);
+    if (begun_of != met) {
+        OF(_begin)(&end, OF(_of_scene)(), (uint32_t)k, moment.x, moment.v, zero, moment.x);
+        begun_of = met;
+    }
+    moment.k = (uint32_t)k;
+    moment.ready = 1;
+    hear();
+    moment.unheard = answered ? (double)unheard_ns / 1e9 : INFINITY;
+    moment.over = state == OVER || stopped;
+    OF(_step)(&end, OF(_of_scene)(), &moment, &answer);
+    if (answer.reason == OF(_no_law)) stopped = 3;
     last_k = k;
-    f = law(x - origin, v, span, message.number) * gain;
-    if (!isfinite(f)) { stopped = 3; gain = f = 0.0; }
-    f = fmax(-F_MAX, fmin(F_MAX, f));
-    if (gain > 0.0) f = fmax(force - step, fmin(force + step, f)); /* one step, however many ticks have passed */
-    device_hold(force = f);
+    device_hold(answer.force);
+    if (answer.send) OF(_give)(&answer, message.number);
     if (log_file) {
         const double *came = newest.packet.number, *say_it = message.number;
-        fprintf(log_file, "%d,%lld,%.17g,%.17g,%.17g,%.17g,%.17g,%lld,", met, (long long)k, x - origin, v, force, gain,
-                offset, (long long)newest.seq);
+        fprintf(log_file, "%d,%lld,%.17g,%.17g,%.17g,%.17g,%lld,", met, (long long)k, moment.x[0] - end.origin[0],
+                moment.v[0], answer.force[0], end.guard.gain, (long long)newest.seq);
         fprintf(log_file, "%.17g,%.17g,%.17g,%.17g\n", came[0], came[1], say_it[0], say_it[1]);
     }
     if (!master) follow(k);
-    if (state != STARTING && state != RUNNING) return;
+    if (!answer.send || (state != STARTING && state != RUNNING)) return;
     message.echoes = newest.seq >= 0;
     message.echo_sent_ns = newest.sent_ns;
     message.echo_held_ns = now - newest.came_ns;
-    for (int i = 0; i < width; i++) if (!isfinite(message.number[i])) return;
     out(&message, now, PACKET, &peer);
     sent++;
 }
@@ -383,32 +365,19 @@ static void tick(int64_t k, int64_t now) {
 static void stop(int number) { (void)number; stopped = 4; }
 
 int main(int words, char **word) {
-    static uint8_t entries[MOST_CONTROL / 2], bytes[MOST_CONTROL + 1];
+    static uint8_t bytes[MOST_CONTROL + 1];
     struct sockaddr_in here = {.sin_family = AF_INET}, from;
     struct sigaction act = {.sa_handler = stop};
     socklen_t size = sizeof here;
-    if (words < 6 || (strcmp(word[1], "slave") && strcmp(word[1], "master"))
+    if (words < 5 || strcmp(word[1], master ? "master" : "slave")
         || inet_pton(AF_INET, word[2], &here.sin_addr) != 1) {
-        fprintf(stderr, "type: end slave|master ADDRESS PORT MANIFEST SECONDS [LOG], the address as in 127.0.0.1\n");
+        fprintf(stderr, "type: end %s ADDRESS PORT SECONDS [LOG], the address as in 127.0.0.1\n",
+                master ? "master" : "slave");
         return 2;
     }
-    master = !strcmp(word[1], "master");
     here.sin_port = htons((uint16_t)atoi(word[3]));
-    FILE *file = fopen(word[4], "rb");
-    manifest = (Text){entries, file ? fread(entries, 1, sizeof entries, file) : 0};
-    if (file) fclose(file);
-    waves = has_entry(manifest, "law", WAVE);
-    width = waves ? 4 : 2;
-    if (manifest.size == 0 || entries[0] != 0xDE || !(waves || has_entry(manifest, "law", PP))
-        || !has_entry(manifest, "dt", "0.001") || !has_entry(manifest, "axes", "1")
-        || !has_entry(manifest, "packet_size", "100") || !has_entry(manifest, "mode", "live")) {
-        fprintf(stderr, "%s is no manifest of what this program does, which is one axis, ticks of 1 ms, packets of 100 "
-                "bytes and the laws \"%s\" and \"%s\": write it with teleop manifest hard_wall --write %s\n", word[4],
-                PP, WAVE, word[4]);
-        return 2;
-    }
-    int64_t until = now_ns() + (int64_t)(atof(word[5]) * 1e9);
-    log_file = words > 6 ? fopen(word[6], "w") : NULL;
+    int64_t until = now_ns() + (int64_t)(atof(word[4]) * 1e9);
+    log_file = words > 5 ? fopen(word[5], "w") : NULL;
     sock = socket(AF_INET, SOCK_DGRAM, 0);
     if (sock < 0 || (!master && bind(sock, (struct sockaddr *)&here, sizeof here))
         || fcntl(sock, F_SETFL, O_NONBLOCK)) {
@@ -417,7 +386,7 @@ int main(int words, char **word) {
     }
     peer = asked = here;
     if (master) {
-        file = fopen("/dev/urandom", "rb");
+        FILE *file = fopen("/dev/urandom", "rb");
         if (!file || fread(&session, sizeof session, 1, file) != 1) { perror("/dev/urandom"); return 1; }
         fclose(file);
     } else if (!getsockname(sock, (struct sockaddr *)&here, &size)) printf("listening %d\n", ntohs(here.sin_port));
@@ -441,11 +410,12 @@ int main(int words, char **word) {
             /* Ticks that this process was late for are left out, never made up for; before tick 0 it goes on listening. */
             if (start_ns + (k + 1) * DT < next) next = start_ns + (k + 1) * DT;
         }
-        if (stopped && force == 0.0) break;
+        if (stopped && !holds_force()) break;
         struct timespec t = {next / (1000 * MS), next % (1000 * MS)};
         while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, NULL) == EINTR) {}
     }
-    device_hold(0.0);
+    memset(answer.force, 0, sizeof answer.force);
+    device_hold(answer.force);
     if (met || master) say(BYE, session, stopped == 1 ? "finished" : "stopped", now_ns());
     if (former && state == MEETING) say(BYE, former, "stopped", now_ns());
     printf("{\"met\": %d, \"over\": %ld, \"received\": %ld, \"sent\": %ld, \"rejected\": %ld}\n", met, sessions_over,

@@ -241,17 +241,17 @@ def draw(got: Precision, path: Path, formats: Sequence[str] = plot.PNG) -> list[
     counts = f"({number_of(got.result.ticks, 'tick')}, {number_of(got.contacts, 'contact')})"
     marks = f"marks from large to small: {', '.join(map(str, SUBSTEPS))} sub-steps per tick{scipys}"
     title = f"{plot.literal(heading(got.result))}: error against run time {counts}\n{marks}{reference}"
-    figure = plot.new_figure((13.0, 9.5), title)
-    every = figure.subplots(2, 2, height_ratios=(3, 2), squeeze=True)
+    figure = plot.new_figure((13.0, 12.0), title)
+    upper = figure.add_subfigure((grid := figure.add_gridspec(2, 1, height_ratios=(3, 2)))[0])
+    lower = figure.add_subfigure(grid[1])
+    work, time = upper.subplots(1, 2), lower.subplots(1, 2, sharex=True)
     for column, (series, track, what, metric) in enumerate(PANELS):
         unit = unit_on(metric, axis)
-        _work(every[0, column], got, series, what, unit)
-        _time(every[1, column], got, series, track, what, unit)
-    every[1, 0].sharex(every[1, 1])
-    handles, labels = every[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=9)
-    handles, labels = every[1, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right lower", frameon=False, fontsize=9)
+        _work(work[column], got, series, what, unit)
+        _time(time[column], got, series, track, what, unit)
+    for part, panels, across in ((upper, work, 5), (lower, time, 4)):
+        part.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, fontsize=11,
+                    ncols=across)
     return plot.save(figure, path, formats)
 
 

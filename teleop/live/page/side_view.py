@@ -26,7 +26,7 @@ STEPS, CLOSE = 20, 1e-5  # of least squares; m
 LONGEST = 0.1  # m of a step: where a robot cannot reach, a longer one would swing it to and fro
 DAMPING = 1e-4  # m^2, beside J J^T
 SHOWN = 3  # groups of geoms that a viewer of MuJoCo shows unless it is asked for others
-ROOM = 1.35  # of the view beside what it has to show
+ROOM = 1.5  # of the view beside what it has to show
 
 
 class SideView:

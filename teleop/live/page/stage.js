@@ -41,7 +41,7 @@ function invite(p) {  // beside the wall, in the free space that the hand begins
   if ($("invite").hidden) return;
   at.left = right || flat ? "14px" : wx + 12 + "px";
   at.width = flat ? "auto" : (right ? wx - 26 : W - wx - 26) + "px";
-  at.bottom = (flat ? Math.max(2, Math.min(30, H / 2 - p.side / 2 - 28)) : 32) + "px";
+  at.top = H - $("invite").offsetHeight - (flat ? Math.max(2, Math.min(30, H / 2 - p.side / 2 - 28)) : 32) + "px";
   at.textAlign = right ? "right" : "left";
 }
 function line(colour, width, ...points) {
@@ -264,7 +264,8 @@ function drawArm() {
   const at = $("arm"), c = at.getContext("2d"), model = hello.arm;
   if (at.hidden === !!model) { at.hidden = !model; size(); }
   if (!model || !pose) return;
-  const w = at.width / R, h = at.height / R, k = Math.min(w, h) / model.span, put = ([x, y]) => [w / 2 + (x - model.middle[0]) * k, h / 2 - (y - model.middle[1]) * k];
+  const w = at.width / R, h = at.height / R, top = 28, k = Math.min(w, h - top) / model.span;  // the name is above it
+  const put = ([x, y]) => [w / 2 + (x - model.middle[0]) * k, (h + top) / 2 - (y - model.middle[1]) * k];
   const outline = (points, radius, colour, alpha) => {
     const [first, ...others] = hull(points.map(put));
     for (const [wide, paint] of [[2, C.card], [0, colour]]) {

@@ -25,18 +25,19 @@ function rowAt(t) {  // the index of the newest row up to t
 }
 const inView = () => rows.slice(Math.max(0, rowAt(edge() - SHOWN)), rowAt(edge()) + 1);
 function look(t) {  // show the ten seconds up to t; null: the newest
-  paused = t;
+  paused = t == null || !row ? null : clip(t, Math.min(rows[0].t + SHOWN, row.t), row.t);
+  for (const one of strips) one.whole = dirty = true;
+  rescale();
+}
+function tape() {
   const first = rows.length ? rows[0].t : 0, end = row ? row.t : 0;
   $("pause").setAttribute("aria-pressed", String(paused != null));
   $("back").disabled = paused == null;
-  if (paused != null) paused = clip(paused, Math.min(first + SHOWN, end), end);
-  $("back").min = Math.min(first + SHOWN, end);
+  $("back").min = Math.min(first + SHOWN, edge());
   $("back").max = end;
   $("back").value = edge();
   $("when").textContent = paused == null ? "live" : end - paused < .05 ? "paused" : fixed(end - paused, 1) + " s ago";
   $("back").setAttribute("aria-valuetext", $("when").textContent);
-  for (const one of strips) one.whole = dirty = true;
-  rescale();
 }
 const live = () => look(null);
 $("pause").onclick = () => look(paused == null ? edge() : null);
@@ -73,6 +74,7 @@ function extremes(list, i) {
 }
 function rescale() {
   narrow();
+  tape();
   const list = inView(), least = [0, 1, .001, .001];
   kind = list.reduce((found, r) => r.kind || found, null);
   for (const one of strips) {
@@ -106,7 +108,7 @@ function captions() {  // the numbers of the row under the pointer, or else of t
   force[0].textContent = `master ${fixed(r.fm[0], 1)}${newton()}`;
   force[1].textContent = `slave ${fixed(r.fs[0], 1)}${newton()}${when}`;
   energy[0].textContent = (r.E == null ? (hello && hello.energy ? "\u2013" : "not kept in this scene") : Math.abs(r.E) < 1 ? fixed(r.E * 1e3, 1) + " mJ" : fixed(r.E, 1) + " J") + when;
-  queue[0].textContent = r.queue ? "forward " + ms(r.queue[0]) : "";
+  queue[0].textContent = r.queue ? "forward " + ms(r.queue[0]) : "no waves under this law";
   queue[1].textContent = r.queue ? "backward " + ms(r.queue[1]) + when : "";
 }
 function summary(list) {  // of what the strips show, for those who do not see them
@@ -122,7 +124,7 @@ function overview() {  // all axes as small strips, where there are more than ca
   [...$("axes").children].forEach((button, i) => {
     const [output, canvas] = [button.querySelector("output"), button.querySelector("canvas")], c = canvas.getContext("2d");
     const w = canvas.width, h = canvas.height, traces = ["xm", "xs"].map(key => list.map(r => r.all[key][i])), span = hello.spans[i];
-    const low = Math.min(-span / 2, ...traces.flat()), high = Math.max(span / 2, ...traces.flat()), y = v => h - 2 - (v - low) / (high - low) * (h - 4);
+    const low = Math.min(-span / 8, ...traces.flat()), high = Math.max(span / 8, ...traces.flat()), y = v => h - 2 - (v - low) / (high - low) * (h - 4);
     output.textContent = `${fixed(row.all.xs[i] * 1e3, 0)} m${hello.units[i]}`;
     output.className = "num";
     c.clearRect(0, 0, w, h);

@@ -412,7 +412,7 @@ def draw(advice: Advice, path: Path, formats: Sequence[str]) -> list[Path]:
     figure = plot.new_figure((13.0, 6.5), "\n".join(
         [plot.literal(title), plot.literal(f"{advice.scene.name}, {link_text(advice.ways)}")]))
     grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
-    _laws(figure.add_subplot(grid[:, 0]), advice)
+    draw_laws(figure.add_subplot(grid[:, 0]), document(advice, (), 0.0)["laws"], None if best is None else best.law)
     if best is not None and best.tuned is not None:
         motion = figure.add_subplot(grid[0, 1])
         force = figure.add_subplot(grid[1, 1], sharex=motion)
@@ -420,34 +420,33 @@ def draw(advice: Advice, path: Path, formats: Sequence[str]) -> list[Path]:
     return plot.save(figure, path, formats)
 
 
-def _laws(axes: Axes, advice: Advice) -> None:
-    """A row for each law: its terms as bars, its value as a mark."""
-    laws = [each for each in advice.laws if each.tuned is not None]
-    names = [name for name in TERMS if any(each.tuned is not None and name in each.tuned.score.terms for each in laws)]
+def draw_laws(axes: Axes, laws: Sequence[Mapping[str, Any]], advised: str | None) -> None:
+    """Draw a row for each law that was searched, as the document has them: its terms as bars, its value as a mark."""
+    laws = [each for each in laws if "terms" in each]
+    names = [name for name in TERMS if any(name in each["terms"] for each in laws)]
     high = 0.8 / max(1, len(names))
+    first = next((y for y, each in enumerate(laws) if not each["broken"]), None)
     for y, law in enumerate(laws):
-        if not law.search.feasible:
-            axes.text(0.02, y, plot.literal(f"infeasible: {law.search.score.broken}", most=70), va="center", fontsize=8,
+        if law["broken"]:
+            axes.text(0.02, y, plot.literal(f"infeasible: {law['broken']}", most=70), va="center", fontsize=8,
                       color=plot.RED)
             continue
         for i, name in enumerate(names):
-            value = law.search.score.terms.get(name)
-            if value is not None:
-                axes.barh(y - 0.4 + (i + 0.5) * high, min(value, MOST), height=high, color=TERMS[name][0],
-                          label=TERMS[name][1] if law is _first(laws) else None)
-        axes.errorbar(law.value, y, xerr=law.deviation or None, fmt="D", color=plot.DARK, markersize=5, capsize=3,
-                      label="objective: root mean square" if law is _first(laws) else None, zorder=5)
-    axes.set_yticks(range(len(laws)), [f"advised: {each.law}" if each is advice.best else each.law for each in laws])
+            if (value := law["terms"].get(name)) is not None:
+                axes.barh(y - 0.4 + (i + 0.5) * high, min(float(value), MOST), height=high, color=TERMS[name][0],
+                          label=TERMS[name][1] if y == first else None)
+        axes.errorbar(float(law["value"]), y, xerr=law["deviation"] or None, fmt="D", color=plot.DARK, markersize=5,
+                      capsize=3, label="objective: root mean square" if y == first else None, zorder=5)
+    axes.set_yticks(range(len(laws)), [
+        plot.literal(f"advised: {each['law']}" if each["law"] == advised else each["law"]) for each in laws])
     axes.set_ylim(len(laws) - 0.4, -0.6)
     axes.set_xlim(0.0, MOST)
     axes.set_xlabel(f"0: a rigid rod, 1: a law that does nothing (cut off at {MOST:g})")
     axes.axvline(1.0, color=plot.GREY, linewidth=0.8)
     plot.grid_lines(axes)
-    axes.legend(fontsize=8, loc="upper right")  # where the best laws have the shortest bars
-
-
-def _first(laws: Sequence[LawAdvice]) -> LawAdvice | None:
-    return next((each for each in laws if each.tuned is not None and each.tuned.feasible), None)
+    axes.yaxis.grid(visible=False)  # it would run through the words
+    if first is not None:
+        axes.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderaxespad=0.3)
 
 
 def _run(motion: Axes, force: Axes, tuned: Tuned) -> None:

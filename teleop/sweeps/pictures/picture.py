@@ -226,10 +226,12 @@ def picture_of(table: Table, kind: str | None, metric: str | None, units: Mappin
     sampled = [knob for knob in others if pairs_of(knob, axes_knobs[0]) is not None]  # of no value has it two rows
     panels, note = panels_of(table, [knob for knob in others if knob not in sampled])
     notes += [f"{knob.name} varies too" for knob in sampled]
-    columns = min(3, len(panels))
+    columns = 2 if len(panels) == 4 else min(3, len(panels))
     lines = -(-len(panels) // columns)
     wide = 1.9 + 3.7 * columns + 1.6 * (columns == 1)
     figure = plot.new_figure((min(wide, WIDEST) if page else wide, 1.2 + (2.6 if page else 3.3) * lines))
+    layout: Any = figure.get_layout_engine()
+    layout.set(w_pad=0.12)  # inches: the last number of a panel stands clear of the first of the next
     every: Any = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes in every.ravel()[len(panels):]:
         axes.set_axis_off()

@@ -141,14 +141,18 @@ def picture(table: Table, folder: Path, content: Mapping[str, Any], request: Pic
                 formats=formats)
 
 
+UNBOUNDED = 1e6  # m: a scene's own x_limit, which bounds nothing that moves
+
+
 def words_of(content: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:
     """Words of a legend for each status, with the bounds that all rows had; `units` as `knob_units` gives them."""
     limits, unit = content.get("limits") or {}, units.get("x_limit", "m")
     words = {}
-    if "x_limit" in limits:
+    bounded = limits.get("x_limit", UNBOUNDED) < UNBOUNDED
+    if bounded:
         words["diverged"] = f"diverged: beyond x_limit = {limits['x_limit']:g} {unit}"
     if "duration" in limits:
-        within = f"within {limits['x_limit']:g} {unit} for " if "x_limit" in limits else ""
+        within = f"within {limits['x_limit']:g} {unit} for " if bounded else "ran "
         words["ok"] = f"ok: {within}{limits['duration']:g} s"
     return words
 

@@ -312,3 +312,25 @@ def test_a_page_that_is_started_again_has_the_port_and_the_token_of_the_last_one
     for damaged in ("", "{", '{"port": 0, "token": "secret"}', '{"port": 80}', "x" * 5000):
         file.write_text(damaged)
         assert command._address(None)[0] == 0, damaged
+
+
+def test_the_page_runs_before_other_work_where_the_system_allows_it_and_gives_that_back(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a busy machine its rows came eight times in a second."""
+    asked: list[int] = []
+
+    def allow(_kind: int, _who: int, priority: int) -> None:
+        asked.append(priority)
+
+    def refuse(_kind: int, _who: int, priority: int) -> None:
+        if priority < before:
+            raise PermissionError(1, "Operation not permitted")
+
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    for system, wanted, given in ((allow, True, [before - 10, before]), (refuse, True, []), (allow, False, [])):
+        asked.clear()
+        monkeypatch.setattr(os, "setpriority", system)
+        with command._before_others(wanted=wanted):
+            pass
+        assert asked == given

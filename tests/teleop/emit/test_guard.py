@@ -30,7 +30,7 @@ int main(int words, char **word)
     double r[8 + 3 * N + WIDTH], zero[N] = {0};
     FILE *file = fopen(word[words - 1], "rb");
     int i;
-@present@    while (fread(r, sizeof r, 1, file) == 1) {
+    while (fread(r, sizeof r, 1, file) == 1) {
         m.k = (uint32_t)(int64_t)r[1];
         m.ready = r[2] != 0.0;
         m.got = r[3] != 0.0;
@@ -141,8 +141,7 @@ def in_c(scene: Scene, e: str, folder: Path, runs: list[Moment]) -> list[list[fl
     made = files(scene, e, e)
     name = next(each for each in made.texts if each.endswith(".h"))[:-2]
     width = next(len(each.rx) * len(each.rx[0]) for each in runs if each.rx)
-    present = "    m.present = 1.0;\n" * ("double present;" in made.texts[f"{name}.h"])
-    driver = DRIVER.replace("@name@", name).replace("@p@", f"{name}_").replace("@present@", present)
+    driver = DRIVER.replace("@name@", name).replace("@p@", f"{name}_")
     for file, text in {**made.texts, "drive.c": driver}.items():
         (folder / file).write_text(text)
     words = [program(*COMPILERS), *FLAGS.split(), "-Wno-unused-function", f"-DN={scene.axes}", f"-DWIDTH={width}",

@@ -22,6 +22,7 @@ class Page(HTMLParser):
         self.elements: list[tuple[str, dict[str, str | None]]] = []
         self.texts: list[str] = []
         self._open: list[str] = []
+        self._goes_on = False  # the last text: the part in a span belongs to it
         self.feed(self.source)
         self.close()
         assert self._open == []
@@ -29,6 +30,7 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.elements.append((tag, dict(attrs)))
+        self._goes_on &= tag == "span"
         if tag not in ALONE:
             self._open.append(tag)
 
@@ -37,10 +39,15 @@ class Page(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         assert self._open.pop() == tag
+        self._goes_on &= tag == "span"
 
     def handle_data(self, data: str) -> None:
         if self._open and self._open[-1] != "style":
-            self.texts.append(data)
+            if self._goes_on:
+                self.texts[-1] += data
+            else:
+                self.texts.append(data)
+            self._goes_on = True
 
     @property
     def text(self) -> str:

@@ -105,6 +105,41 @@ class TestAStudy:
             *of("s").texts}
         typed("report", "s", "--rows", "3").assert_refused("what teleop stability found", "leave it out")
 
+    def test_of_an_analysis_had_no_figure(self, typed: Typed) -> None:
+        typed("passivity", "soft_tissue", "--set", "law=direct", "--out", "two")
+        typed("passivity", "virtual_wall", "--out", "one")
+        typed("stability", "soft_tissue", "--set", "law=direct", "--set", "delay=0.005", "--critical", "k_e", "--range",
+              "300:600", "--tol", "10", "--plot", "--out", "loop")
+        figures = {"two": ["Impedances, sampled", "Llewellyn's parameter, sampled: absolutely stable where it is 1 and "
+                                                  "more"],
+                   "one": ["Damping that the held force needs"],
+                   "loop": ["Roots z of the sampled loop, and open loop",
+                            "Margins over k_e; critical where the growth rate passes 0"]}
+        for folder, named in figures.items():
+            assert typed("report", folder).code == 0
+            assert titles(of(folder)) == named, folder
+        words = str(of("two").figures[1].findtext(f"{SVG}desc"))
+        assert f"from {json.loads(Path('two/summary.json').read_text())['sampled']['eta_min']:.3g} to " in words
+        Path("loop/curves.npz").write_bytes(b"no archive")
+        typed("report", "loop")
+        assert "No figure: the numbers for it are not there." in Page(Path("loop/report-2.html").read_bytes()).texts
+        Path("loop/curves.npz").unlink()
+        typed("report", "loop")
+        assert any("type its command again with --plot" in text
+                   for text in Page(Path("loop/report-3.html").read_bytes()).texts)
+
+    def test_of_an_advice_has_its_laws_with_what_they_are_judged_by(self, typed: Typed) -> None:
+        Path("a").mkdir()
+        judged = {"deviation": 0.0, "terms": {"tracking": 0.4, "drag": 0.2}}
+        laws = [{"law": "wave", "value": 0.3, "broken": "", **judged}, {"law": "pp", "value": 0.2, **judged,
+                 "broken": "limit cycle"}, {"law": "iss", "refused": "it cannot run here"}]
+        Path("a/summary.json").write_text(json.dumps({
+            "status": "done", "sentence": "take wave", "scene": "hard_wall", "mode": "advise", "laws": laws}))
+        typed("report", "a")
+        figure = of("a").figure("Laws over this link")
+        assert {"advised: wave", "pp", "infeasible: limit cycle", "tracking error"} <= {*texts(figure)}
+        assert str(figure.findtext(f"{SVG}desc")).endswith("wave: 0.300; pp: limit cycle.")
+
     def test_of_numbers_that_are_none_has_no_figure_and_says_so(self, typed: Typed) -> None:
         Path("t").mkdir()
         Path("t/summary.json").write_text(json.dumps({
@@ -133,7 +168,7 @@ def test_of_a_page_has_its_parts_in_order_but_those_that_cannot_be_read(typed: T
     (page / "page.json").write_text(json.dumps(index))
     lines = typed("report", "pg").out.splitlines()
     assert lines[0] == "page   hard_wall, 3 parts"
-    assert [line.split()[:2] for line in lines[2:5]] == [["1", "start"], ["2", "turned"], ["3", "turned"]]
+    assert [line.split()[:2] for line in lines[2:5]] == [["1", "start"], ["2", "switched"], ["3", "switched"]]
     shown = of("pg")
     assert "hard_wall, 3 parts on the page" in shown.texts
     assert len(frames(shown.figure("position"))) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 
 import teleop.terminal.plotting
 from teleop import load_scene, run
-from teleop.report.of_runs import RunView, of_one, of_parts, of_several
+from teleop.report.of_runs import RunView, most_to_see, of_one, of_parts, of_several
 from teleop.report.page import page
 from teleop.report.strips import Strip, strips
 from teleop.simulation.result import Result
@@ -48,7 +49,7 @@ class TestOne:
     def test_has_all_that_it_was_to_the_byte_and_needs_nothing_else(self, canonical: Result) -> None:
         data = page([of_one(told(canonical))])
         assert data == page([of_one(told(canonical))])
-        assert len(data) < 60_000
+        assert len(data) < 62_000
         shown = Page(data)
         for said in ("canonical, law wave", "ran to its end, 4000 ticks of 0.001 s", "tracking error", "delay",
                      "0.05 s", "law.b", "teleop run canonical", "numpy " + np.__version__):
@@ -190,9 +191,29 @@ class TestTheWords:
         shown = of(*[told(replace(canonical, seed=seed)) for seed in range(8)])
         assert {f"{i + 1}: seed {i}" for i in range(8)} <= {*shown.texts}
 
+    def test_the_figures_of_a_page_were_of_its_last_parts_whatever_was_to_see_in_them(self, canonical: Result) -> None:
+        """They are of the parts that swing, then of those with the greatest force, and the rest is named."""
+        force = [3.0, 20.0, 0.1, 9.0, 20.0, 2.0, 5.0, 1.0]
+        parts = [replace(canonical, status="limit cycle" if i == 2 else "ok", metrics={
+            "f_m_max": size, "f_env_max": size / 2.0, "jerk_rms": float(i)}) for i, size in enumerate(force)]
+        assert most_to_see(parts, 3) == [1, 2, 4]
+        assert most_to_see(parts[:2], 3) == [0, 1]
+        section = of_parts("pg", [told(part) for part in parts], [(0, "start")] * 8, {"scene": "canonical"})
+        words = Page(page([section])).text
+        assert "The figures show the 6 parts with most to see" in words
+        assert "Left out: parts 6 and 8." in words
+
+    def test_a_force_that_is_rounding_was_shown_in_femtonewtons(self, canonical: Result) -> None:
+        small = replace(canonical, metrics={**canonical.metrics, "f_m_end": 4.98e-15, "x_err_rms": 1e-9})
+        for shown in (of(told(small)).text, of(told(small), told(canonical)).text, small._repr_html_()):
+            assert "e-15" not in shown
+            assert re.search(r"\b(0 N felt|0 N)\b", shown)
+            assert re.search(r"1\.00 nm|1e-09 m", shown), "what is small but no rounding stays"
+        assert small.metrics["f_m_end"] == 4.98e-15
+
     def test_on_the_parts_of_a_page_are_in_order_with_what_began_them(self, canonical: Result) -> None:
         part = run(load_scene("canonical", duration=0.1, law="direct"))
-        begun = [(0, "start"), (4000, "turned")]
-        section = of_parts("pg", [told(canonical), told(part)], begun, {"scene": "canonical"}, 6)
-        assert {"canonical, 2 parts on the page", "start", "turned", "4.0 s", "wave(b=2, K=500, B=20)",
+        begun = [(0, "start"), (4000, "switched")]
+        section = of_parts("pg", [told(canonical), told(part)], begun, {"scene": "canonical"})
+        assert {"canonical, 2 parts on the page", "start", "switched", "4.0 s", "wave(b=2, K=500, B=20)",
                 "direct(K=500, B=20, kf=1)"} <= {*Page(page([section])).texts}

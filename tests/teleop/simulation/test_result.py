@@ -163,6 +163,17 @@ class TestInPython:
         assert f"<th>x_err_rms</th><td>{wan.metrics['x_err_rms']:.4g} m</td>" in page
         assert "<th>note</th><td>&lt;script&gt;</td>" in page
 
+    def test_has_its_strips_in_a_notebook_and_a_sentence_where_matplotlib_is_missing(
+        self, wan: Result, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        pytest.importorskip("matplotlib")
+        assert wan._repr_html_().count("<svg") >= 3
+        monkeypatch.setattr("teleop.terminal.plotting.find_spec", lambda _: None)
+        page = wan._repr_html_()
+        assert "<svg" not in page
+        assert "Strips over time need matplotlib: pip install" in page
+        assert "<table>" in page
+
     def test_a_misspelt_name_names_the_nearest_also_of_a_result_that_was_read_or_pickled(
         self, wan: Result, tmp_path: Path
     ) -> None:

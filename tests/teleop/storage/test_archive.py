@@ -40,6 +40,17 @@ def test_every_kind_of_column_is_read_back_to_the_bit(tmp_path: Path) -> None:
     assert none["x_m"].shape == (0, 3)
 
 
+def test_the_curves_of_an_analysis_have_lengths_of_their_own_and_may_be_complex(tmp_path: Path) -> None:
+    arrays: dict[str, Any] = {"frequency": np.arange(7.0), "roots": np.array([1j, -1j, 0.5]),
+                              "h": np.arange(12.0).reshape(3, 2, 2) * 1j}
+    got = read_arrays(saved(tmp_path / "curves.npz", **arrays), None)
+    assert {name: (each.dtype, each.tobytes()) for name, each in got.items()} == {
+        name: (each.dtype, each.tobytes()) for name, each in arrays.items()}
+    for wrong in (np.zeros((2, 2, 2, 2)), np.array(1.0), np.array([object()])):
+        with pytest.raises(Misshapen):
+            read_arrays(saved(tmp_path / "curves.npz", wrong=wrong), None)
+
+
 def test_a_pickle_or_another_shape_in_a_trace_is_refused(tmp_path: Path) -> None:
     for name, array, sentence in (
             ("t", np.array([object()] * ROWS), "holds object"), ("t", np.zeros(ROWS, complex), "holds complex"),

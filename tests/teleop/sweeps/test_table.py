@@ -269,6 +269,10 @@ class TestText:
         assert len(lines) == 9
         assert len({line.rfind(" ", 0, 20) for line in lines[2:-1]}) == 1
 
+    def test_is_one_line_where_python_prints_a_value(self) -> None:
+        assert repr(made(row(0), row(1, status="diverged"))) == (
+            "Table(2 rows of delay, law, n: 1 ok, 1 diverged; metrics x_err_rms, E_link_min)")
+
     def test_of_nothing_is_one_line(self) -> None:
         assert str(made()) == "0 rows, 3 knobs, 2 metrics"
 

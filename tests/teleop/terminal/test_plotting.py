@@ -38,6 +38,54 @@ def test_of_nothing_asked_for_there_is_none_and_left_out_it_is_png() -> None:
     assert formats("pdf, SVG") == ("pdf", "svg")
 
 
+def overlapping(figure: Any) -> list[tuple[str, str]]:
+    """Pairs of drawn texts of a figure of which one lies over the other, or beyond the figure's edge."""
+    from matplotlib.text import Text
+
+    drawn: dict[Any, None] = {}
+    whole = Text.draw
+
+    def draw(text: Any, *given: Any) -> None:
+        whole(text, *given)
+        drawn[text] = None
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Text, "draw", draw)
+        figure.draw_without_rendering()
+    edge = figure.bbox
+    placed = [(each.get_text(), each.get_window_extent()) for each in drawn if each.get_text().strip()]
+    beyond = [(text, "the edge") for text, box in placed if not (
+        box.x0 > edge.x0 - 1.0 and box.x1 < edge.x1 + 1.0 and box.y0 > edge.y0 - 1.0 and box.y1 < edge.y1 + 1.0)]
+    return beyond + [(a, b) for i, (a, one) in enumerate(placed) for b, other in placed[:i]
+                     if min(one.x1, other.x1) - max(one.x0, other.x0) > 1.0
+                     and min(one.y1, other.y1) - max(one.y0, other.y0) > 1.0]
+
+
+FIGURES = (
+    "passivity soft_tissue --set law=direct", "passivity virtual_coupling",
+    "stability soft_tissue --set law=direct --set delay=0.005 --critical k_e --range 300:600 --tol 10",
+    "sweep soft_tissue --grid law=direct,pp,p_d,wave delay=0:0.2:5 k_e=20:5e3:5:log --set duration=0.2 --engine plain",
+    "precision canonical --set duration=0.1 --rounds 1", "run hard_wall --set duration=1",
+    "tune wave --scene hard_wall --set duration=2.5 --budget 4 --workers 1",
+)
+
+
+@pytest.mark.parametrize("words", [*FIGURES, *(pytest.param(words, marks=pytest.mark.full) for words in (
+    "zwidth virtual_wall", "stability virtual_wall", "run leader_follower --set duration=1",
+    "advise --link delay(0.05) --laws wave,direct,pp --budget 30 --workers 1",
+    "sweep hard_wall --grid delay=0:0.1:9"))])
+def test_no_text_of_a_figure_lies_over_another(words: str, typed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The title of `passivity` covered its panels."""
+    drawn = []
+    monkeypatch.setattr(teleop.terminal.plotting, "render", lambda figure, *_: drawn.append(figure) or b"")
+    if words.startswith("precision"):
+        pytest.importorskip("mpmath")
+    answer = typed(*words.split(), "--plot")
+    assert answer.code == 0, answer.err
+    assert drawn
+    assert [pair for figure in drawn for pair in overlapping(figure)] == []
+
+
 class TestNames:
     def test_the_same_picture_is_the_file_that_is_there_and_another_the_next_number_in_all_formats(
             self, tmp_path: Path) -> None:

@@ -163,8 +163,10 @@ def test_all_axes_of_six_are_drawn_as_small_strips_and_the_robot_from_the_side_b
     mock.send({**mock.hello(), "arm": {"shapes": shapes, "world": [], "middle": [0.1, 0.0], "span": 0.5}})
     page.until("hello.arm && !$('arm').hidden && $('arm').width > 200")
     page.evaluate("take({...row, t: row.t + 1e-4, arm: [[[1, 0, 0, 0, 0, 1, 0, 0], [1, 0, 0, 0, 0, 1, .2, .1]]]})")
-    seen = """((x, y) => { const at = $('arm'), c = at.getContext('2d'), k = Math.min(at.width, at.height) / .5;
-      return [...c.getImageData(at.width / 2 + (x - .1) * k, at.height / 2 - y * k, 1, 1).data]; })"""
+    seen = """((x, y) => {
+      const at = $('arm'), c = at.getContext('2d'), k = Math.min(at.width, at.height - 28 * R) / .5;
+      return [...c.getImageData(at.width / 2 + (x - .1) * k, (at.height + 28 * R) / 2 - y * k, 1, 1).data];
+    })"""
     page.until(f"{seen}(.1, 0)[3] === 255")
     assert page.evaluate(f"{seen}(.1, 0)") == page.evaluate(f"{seen}(.2, .1)")  # within the box, and the disc
     for x, y in ((0.1, 0.03), (0.25, 0.0), (-0.02, 0.0), (0.2, 0.135)):

@@ -22,6 +22,7 @@ from teleop.sweeps.pictures.report import (
     summary_of,
     told_of,
     units_of,
+    words_of,
     write,
 )
 from teleop.sweeps.table import Table
@@ -164,3 +165,4 @@ class TestAFolder:
         assert named["units"]["k_e"] == "N/m"
         assert named["words"] == {"ok": "ok: within 0.3 m for 5 s", "diverged": "diverged: beyond x_limit = 0.3 m"}
         assert bare["words"] == {}
+        assert words_of({"limits": {**limits, "x_limit": 1e6}}, {}) == {"ok": "ok: ran 5 s"}, "a bound that bounds none"
