@@ -27,7 +27,7 @@ LONGEST = 3600.0  # s; packets under way are kept in memory, so no delay may be 
 class Effect(ABC):
     """The base of all effects; final subclasses are frozen dataclasses.
 
-    A subclass writes `begin` and `carry`; `check_effect` (channel.conformance) tries what is promised here.
+    A subclass writes `carry`, and `begin` where it has a state; `check_effect` (channel.conformance) tries what is promised here.
     """
 
     __slots__ = ()
@@ -45,13 +45,15 @@ class Effect(ABC):
         """The delay of every packet (ns), if a constant delay is all that the effect does; otherwise None."""
         return None
 
-    @abstractmethod
     def begin(self, rng: Rng) -> State:
-        """The state before the first packet; `rng` is this effect's own, for its direction and place."""
+        """The state before the first packet; `rng` is this effect's own, for its direction and place.
+
+        Left out, the random numbers are the whole state.
+        """
+        return rng
 
     @abstractmethod
-    def carry(self, state: State, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, State]:
+    def carry(self, state: State, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, State]:
         """The packets that leave and when, and the next state.
 
         packet, time_ns: (n,) int64, sorted by time (by number if that is the effect's `order`), ns from the

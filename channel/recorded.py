@@ -109,8 +109,7 @@ class Recorded(Effect):
             return None
         return RecordedTicks(ticks.span_ns, dt_ns, ticks.ran.tobytes())
 
-    def carry(self, state: int, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, int]:
+    def carry(self, state: int, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, int]:
         """The packets whose message came, as often as it came, and as late after they entered."""
         way = self._ways[state]
         at = time_ns // way.span_ns % (len(way.first) - 1)

@@ -65,9 +65,7 @@ def end_main(e: str, device: Callable[[Scene], LiveDevice], argv: Sequence[str] 
     return guarded(lambda: _run(e, device, ordered or device, sys.argv[1:] if argv is None else list(argv)))
 
 
-def _run(
-    e: str, device: Callable[[Scene], LiveDevice], ordered: Callable[[Scene], LiveDevice], argv: list[str]
-) -> int:
+def _run(e: str, device: Callable[[Scene], LiveDevice], ordered: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
     args = _arguments(e, argv)
     devices: list[LiveDevice] = []
     try:

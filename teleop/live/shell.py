@@ -33,7 +33,7 @@ from teleop.protocol.connection import Connection
 from teleop.protocol.endpoint import Axes, Endpoint, Reading
 from teleop.protocol.guard import Event
 from teleop.protocol.packet import one_line
-from teleop.protocol.session import FINISHED, SessionBegun
+from teleop.protocol.session import SessionBegun
 from teleop.scene.scene import Scene
 from teleop.simulation.ending import divergence
 from teleop.terminal.options import DONE, complain
@@ -219,7 +219,7 @@ class Shell:
 
     def bye(self) -> None:
         """Send the farewell that says how the run ended for this end."""
-        reason = FINISHED if self.outcome.status == "ok" else self.outcome.sentence
+        reason = None if self.outcome.status == "ok" else self.outcome.sentence
         for data, to in self.connection.bye(reason, time.monotonic_ns()):
             self.wire.answer(data, to)
 

@@ -157,8 +157,7 @@ def _in_last_session(trace: Columns, events: dict[str, list[dict[str, Any]]], sp
 
 def _met_anew(events: dict[str, list[dict[str, Any]]], span: range) -> bool:
     """True if an end met the other more than once in `span`, and not only at the begin of a part that was turned to."""
-    return any(sum(one["what"] == "met" and one["k"] in span for one in noted) > 1
-               for noted in events.values())
+    return any(sum(one["what"] == "met" and one["k"] in span for one in noted) > 1 for noted in events.values())
 
 
 def _from_time(column: Callable[[], Any], times: Callable[[], Any], t: float) -> Any:
@@ -292,9 +291,7 @@ def _killed(end: dict[str, Any]) -> bool:
     return "recovered" in end and end["status"] == "stopped"
 
 
-def _within(
-    span: range, whole: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Any
-) -> dict[str, Any]:
+def _within(span: range, whole: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Any) -> dict[str, Any]:
     """Facts of an end in the ticks of `span`, from its record alone, without the sums of its whole run."""
     import numpy as np
 

@@ -150,8 +150,7 @@ def _summarize(answers: Mapping[str, OpenLoopForces], scene: Scene, ends: int
                                f"{apart}"))
         force: dict[str, Any] = {key: finite(value) for key, value in figures._asdict().items()}
         force |= {"axis": scene.axis_names[axis], "unit": unit} if scene.axes > 1 else {}
-        document[NAMES[e]] = {"ticks": len(one.k), "force": force,
-                              "heard": "recorded" if ends == 1 else "exchanged"}
+        document[NAMES[e]] = {"ticks": len(one.k), "force": force, "heard": "recorded" if ends == 1 else "exchanged"}
     return rows, document
 
 
