@@ -114,7 +114,7 @@ def _run_with(
                           interrupt=interrupt)
             shell.realtime = scheduling
             last.stand_by(shell)
-            shell.security.insecure = insecure
+            shell.insecure = insecure
             turning = None
             if args.orders:
                 from teleop.live.turning import Turning  # for an end that takes no orders it need not be there

@@ -26,6 +26,7 @@ from teleop.live.records.reader import OWN, check_fits, read_record
 from teleop.live.records.record import read_events
 from teleop.protocol.inbox import Inbox
 from teleop.protocol.law_end import Axes, LawAnswer, LawEnd, Origin
+from teleop.protocol.reception import since
 from teleop.scene.scene import Scene
 from teleop.simulation.prepared import prepare
 from teleop.simulation.structure import SENSED, structure_of
@@ -279,12 +280,6 @@ class Exchange:
         if waves is not None and (inputs.session > 1 or e in self._joined):
             waves = since(self._before.setdefault(e, waves), waves)
         return packet, tx, waves
-
-
-def since(before: tuple[Integrals, ...], waves: tuple[Integrals, ...]) -> tuple[Integrals, ...]:
-    """Integrals of waves since `before`, per axis."""
-    return tuple([Integrals(*[now - then for now, then in zip(each, one, strict=True)])
-                  for each, one in zip(waves, before, strict=True)])
 
 
 def _check_same_messages(end: EndFolder, base: Scene, scene: Scene) -> None:
