@@ -87,7 +87,7 @@ class Effect(LinkPart):
         """
 
     def in_direction(self, direction: int) -> tuple[Effect, ...]:
-        """This effect, in both."""
+        """Effects of either direction: this one."""
         return (self,)
 
     def __or__(self, after: Effect | Chain) -> Chain:
@@ -119,7 +119,7 @@ class Chain(LinkPart):
             disordered = disordered or effect.reorders
 
     def in_direction(self, direction: int) -> tuple[Effect, ...]:
-        """These effects, in both."""
+        """Effects of either direction: these."""
         return self.effects
 
     def leaves_out(self, end: int, dt_ns: int) -> LeftOutLike | None:

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple, Protocol
 from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.law import messages as message_types
+from teleop.protocol.end_law import Axes, EndLaw, Origin, RowPlaces
 from teleop.protocol.estimates import LinkEstimates
 from teleop.protocol.guard import ForceGuard, HeldForce
 from teleop.protocol.inbox import Heard, Inbox, Messages, Resampling
-from teleop.protocol.law_end import Axes, LawEnd, Origin, RowPlaces
 from teleop.protocol.packet import (
     DATA,
     MOST_SEQ,
@@ -197,7 +197,7 @@ class Endpoint:
         self._rates = Resampling(self.format.rx_type, mine=self.every, turning=scene.turning)
         self._origin = Origin(scene, e)
         self._met = 1  # the session that the law was begun for
-        self._law: LawEnd | None = None  # once it is known what the device senses
+        self._law: EndLaw | None = None  # once it is known what the device senses
 
     @property
     def way(self) -> Any:
@@ -215,7 +215,7 @@ class Endpoint:
             raise Refused(why)
         if getattr(structure_of(scene), e).has.sensed and not sensor:
             raise Refused(_no_force(scene, e))
-        law = self._law = LawEnd(self.own, e, sensor, self._origin)
+        law = self._law = EndLaw(self.own, e, sensor, self._origin)
         self.places = law.places
         self._switches = SwitchEvents(scene, law.names) if "clutch_m" in law.names else None
 
@@ -336,7 +336,7 @@ class Endpoint:
             self.guard.tell(k, "joined", why)
             self._met = 0
 
-    def _begin(self, k: int, reading: Reading) -> LawEnd:
+    def _begin(self, k: int, reading: Reading) -> EndLaw:
         """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
         if self._law is None:
             self.senses(reading.f is not None, switches_of(reading))

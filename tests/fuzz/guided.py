@@ -105,10 +105,10 @@ def of_session() -> Callable[[bytes], None]:
                     assert end.force_failed is not None or all(-CAP <= f <= CAP and isfinite(f) for f in out.force)
 
     def made(scene: Any, e: str) -> tuple[Any, ...]:
+        from teleop.protocol.end_law import Origin
         from teleop.protocol.estimates import LinkEstimates
         from teleop.protocol.guard import ForceGuard
         from teleop.protocol.inbox import Inbox
-        from teleop.protocol.law_end import Origin
         from teleop.protocol.reception import Reception
 
         return (Inbox(scene.playout, scene.dt_ns), ForceGuard(scene.watchdog, scene.dt_ns / 1e9),

@@ -24,8 +24,8 @@ from teleop.live.records.end_result import NAMES
 from teleop.live.records.inputs import ArrivalTable, Inputs, flat, message_fields, read_arrivals, read_inputs
 from teleop.live.records.reader import OWN, check_fits, read_record
 from teleop.live.records.record import read_events
+from teleop.protocol.end_law import Axes, EndLaw, LawAnswer, Origin
 from teleop.protocol.inbox import Inbox
-from teleop.protocol.law_end import Axes, LawAnswer, LawEnd, Origin
 from teleop.protocol.reception import since
 from teleop.scene.scene import Scene
 from teleop.simulation.prepared import prepare
@@ -117,9 +117,9 @@ class Rerun:
         e, every = end.e, end.inputs.every
         self._every, self._touch, self._at = every, touch, 0
         self._axes, self._origin = scene.axes, Origin(scene, e)
-        own = replace(scene, dt=scene.dt * every) if every != 1 else scene
-        self._law = LawEnd(own, e, end.inputs.sensor or touch is not None, self._origin)
-        forth, back = messages(scene.laws[0], own.dt_ns / 1e9)
+        at_rate = replace(scene, dt=scene.dt * every) if every != 1 else scene
+        self._law = EndLaw(at_rate, e, end.inputs.sensor or touch is not None, self._origin)
+        forth, back = messages(scene.laws[0], at_rate.dt_ns / 1e9)
         self._kind = back if e == "m" else forth
         self._session = 0
 

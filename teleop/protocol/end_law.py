@@ -65,7 +65,7 @@ LawAnswer = tuple[Axes, tuple[Any, ...], tuple[Integrals, ...] | None, Axes]
 """Force (N, per axis), message per axis, the integrals of its waves where they are sent along, and the record's row."""
 
 
-class LawEnd:
+class EndLaw:
     """The law at the end `e` of `scene`, whose tick is this end's own. `sensor`: the device senses the external force.
 
     `names`: the columns of a row, one for each number. `begun`: it has begun a session.
