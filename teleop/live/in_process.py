@@ -66,7 +66,7 @@ def run_stepped(scene: Scene, make: Mapping[str, Make], *, seed: int = 0, clock:
         devices = {}
         for e in "ms":
             devices[e] = open_device(make[e], scene)
-            stack.callback(getattr(devices[e], "close", _nothing))
+            stack.callback(getattr(devices[e], "close", lambda: None))
         return _run(scene, devices, seed, clock, dict(named or {}))
 
 
@@ -81,10 +81,6 @@ def _check(scene: Scene) -> None:
     if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         raise Refused("ticks are left out by order where both devices are simulated; leave --device and --robot out, "
                       "or left_out (of a recorded link write left_out=False)")
-
-
-def _nothing() -> None:
-    pass
 
 
 def _run(scene: Scene, devices: Mapping[str, LiveDevice], seed: int, clock: Callable[[], int] | None,

@@ -199,11 +199,6 @@ class Endpoint:
         self._met = 1  # the session that the law was begun for
         self._law: EndLaw | None = None  # once it is known what the device senses
 
-    @property
-    def way(self) -> Any:
-        """Times (ns) of the way towards this end: one-way delays."""
-        return self.link.way
-
     def senses(self, sensor: bool, switches: tuple[str, ...] = ()) -> None:
         """Make this end's tick for a device with or without a force `sensor`, before the first: then there is no time.
 

@@ -16,6 +16,7 @@ from teleop.protocol.manifest import EVERY, MOST_EVERY, TICK_0
 from teleop.protocol.packet import MOST_CONTROL, Code, Echo, Kind, Packet, decode, encode
 from teleop.protocol.session import AGAIN_NS, FIRST_NS, RENEW_NS, REPEATED, Session
 from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, Cause, SessionEvent, SessionState, Table
+from tests.teleop.protocol.diagrams import diagrams
 from tests.teleop.protocol.ends import packet_in
 from tests.teleop.protocol.test_session import MANIFEST, MS, Talk, hello, start_of, started
 
@@ -394,7 +395,7 @@ def reached(table: Table, first: SessionState) -> set[SessionState]:
 
 def test_the_diagrams_of_the_readme_are_those_of_the_tables() -> None:
     text = (Path(states.__file__).parent / "README.md").read_text()
-    assert states.diagrams() in text, "write what `python -m teleop.protocol.states` prints into the README"
+    assert diagrams() in text, "write what `python -m tests.teleop.protocol.diagrams` prints into the README"
 
 
 def test_every_state_of_a_table_can_be_reached_and_all_but_a_refusal_be_left() -> None:
