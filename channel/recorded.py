@@ -164,7 +164,7 @@ def _read(master: Path, slave: Path, stamps: tuple[tuple[int, ...], ...]  # noqa
             raise Refused(f"{folder} holds no ticks with the arrivals beside them; give the folder as the end wrote it")
         if far_apart(record.ticks):
             raise Refused(f"the ticks in {folder} lie too far apart for a link; give the folder of a run that ran on")
-    check_one_run(master, slave, headers, ("scene", "knobs", "dt_ns"))
+    check_one_run({"m": master, "s": slave}, headers, ("scene", "knobs", "dt_ns"))
     dt_ns, every = headers["m"]["dt_ns"], {e: header.get("every", 1) for e, header in headers.items()}
     last = int(max(ticks["m"][-1], ticks["s"][-1]))  # an end that was over sooner skips all that follow
     ways = (way(dt_ns, every["m"], last, ticks["s"], arrivals["s"]),

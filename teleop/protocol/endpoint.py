@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol
 from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.law import messages as message_types
-from teleop.protocol.end_law import Axes, EndLaw, Origin, RowPlaces
+from teleop.protocol.end_law import EndLaw, Origin, RowPlaces
 from teleop.protocol.estimates import LinkEstimates
 from teleop.protocol.guard import ForceGuard, HeldForce
 from teleop.protocol.inbox import Heard, Inbox, Messages, Resampling
@@ -46,6 +46,7 @@ from teleop.simulation.structure import NAMES, SENSED, structure_of
 from teleop.simulation.tick import LiveTick
 from teleop.stages.wave_integral import Integrals
 
+Axes = tuple[float, ...]
 _NEAR = 1 << 30  # a packet's number within so much of the tick is what it says
 _new: Any = tuple.__new__  # twice as fast as the class
 SLEW = 2000  # a slave's grid follows the master's by at most 1/2000 of a tick a tick, 500 ppm

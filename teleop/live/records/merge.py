@@ -90,7 +90,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         headers[e], records[e], late[e], _ = _noted(folder)
     ours = headers["m"]
     stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
-    check_one_run(master, slave, headers, ("scene", "knobs", "mode", *["seed"] * stepped))
+    check_one_run(folders, headers, ("scene", "knobs", "mode", *["seed"] * stepped))
     for e, folder in folders.items():
         check_fits(scene, headers[e], records[e].ticks, folder)
         if running[e] or (any(running.values()) and needs_recovery(folder)):

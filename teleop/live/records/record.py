@@ -159,15 +159,15 @@ def read_events(folder: Path) -> list[dict[str, Any]]:
     return events
 
 
-def check_one_run(master: Path, slave: Path, headers: Mapping[str, Mapping[str, Any]], keys: Iterable[str]) -> None:
-    """Refuse two folders that are not a master's and its slave's, by these keys of their headers and their events."""
-    for e, folder in (("m", master), ("s", slave)):
+def check_one_run(folders: Mapping[str, Path], headers: Mapping[str, Mapping[str, Any]], keys: Iterable[str]) -> None:
+    """Refuse folders of two ends, m and s, that were not of one run, by these keys of their headers and their events."""
+    for e, folder in folders.items():
         if headers[e]["end"] != e:
             raise Refused(f"{folder} is of a {NAMES[headers[e]['end']]}; give the master's folder first, then the "
                           "slave's")
-    met = [{event["why"] for event in read_events(folder) if event["what"] == "met"} for folder in (master, slave)]
+    met = [{event["why"] for event in read_events(folder) if event["what"] == "met"} for folder in folders.values()]
     if any(headers["m"][key] != headers["s"][key] for key in keys) or (all(met) and not met[0] & met[1]):
-        raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
+        raise Refused(f"{folders['m']} and {folders['s']} are not the two ends of one run; give two that ran together")
 
 
 class RunFolder:

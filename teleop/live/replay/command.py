@@ -57,7 +57,8 @@ def command(args: Namespace) -> Answer:
         base, scene, seed = _scenes(folders, typed, trust=args.trust)
         ends = [read_end(folder, base) for folder in folders]
     if len(ends) == 2:
-        check_one_run(*folders, dict(zip("ms", [end.header for end in ends], strict=True)), ("scene", "knobs", "mode"))
+        check_one_run(dict(zip("ms", folders, strict=True)),
+                      dict(zip("ms", [end.header for end in ends], strict=True)), ("scene", "knobs", "mode"))
     notes = [*dict.fromkeys(str(one.message) for one in warned)]  # a record is read twice
     title = titled(scene)
     answers = command_open_loop(ends, base, scene) if typed or formats or args.out else {}
