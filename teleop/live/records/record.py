@@ -160,7 +160,7 @@ def read_events(folder: Path) -> list[dict[str, Any]]:
 
 
 def check_one_run(folders: Mapping[str, Path], headers: Mapping[str, Mapping[str, Any]], keys: Iterable[str]) -> None:
-    """Refuse folders of two ends, m and s, that were not of one run, by these keys of their headers and their events."""
+    """Refuse folders of m and s that were not of one run, by these keys of their headers and by their events."""
     for e, folder in folders.items():
         if headers[e]["end"] != e:
             raise Refused(f"{folder} is of a {NAMES[headers[e]['end']]}; give the master's folder first, then the "
