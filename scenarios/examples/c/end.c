@@ -419,9 +419,6 @@ int main(int words, char **word) {
     int code = stopped == 1 ? FINISHED : NO_CODE;
     if (met || master) say(BYE, session, code, code ? "finished" : "stopped", now_ns());
     if (former && state == MEETING) say(BYE, former, NO_CODE, "stopped", now_ns());
-    int code = stopped == 1 ? FINISHED : NO_CODE;
-    if (met || master) say(BYE, session, code, code ? "finished" : "stopped", now_ns());
-    if (former && state == MEETING) say(BYE, former, NO_CODE, "stopped", now_ns());
     printf("{\"met\": %d, \"over\": %ld, \"received\": %ld, \"sent\": %ld, \"rejected\": %ld}\n", met, sessions_over,
            received, sent, rejected);
     if (log_file) fclose(log_file);
