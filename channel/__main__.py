@@ -7,7 +7,6 @@ through, when it lets it through; and back.
 from __future__ import annotations
 
 import gc
-import json
 import sys
 import time
 from argparse import Namespace
@@ -34,6 +33,7 @@ from teleop.terminal.options import Parser, guarded, knobs_from, realtime_option
 LEAD_NS = 100_000  # the relay is called so long before a datagram is due, for it takes time to wake up and come to it
 SOON_NS = 30_000  # what is due so soon after another is waited for too, before anything is taken in
 LOOK_S = 0.05  # between two looks at whether it is to end
+OPEN, SEALED = " --insecure", " --key master.key --peer-fingerprint THE-SLAVES"  # of a master beyond this machine
 
 
 class RelayShell:
@@ -173,23 +173,23 @@ def _run(argv: list[str]) -> int:
         if args.orders:
             shell.orders = Orders(OF_THE_RELAY, partial(_turn, shell, args))
         if beyond is not None and args.insecure:
-            tell_insecure(beyond)
+            tell_insecure(f"the link to {host_port(beyond)} is")
         at = near.getsockname()[:2]
         if args.json:
-            _event("listening", address=host_port(at), port=at[1], realtime=scheduling.report)
+            tell("listening", address=host_port(at), port=at[1], realtime=scheduling.report)
         else:
             link: Any = scene.link  # a scene asks less of its link than a text does
             named = "no link" if link is None else describe(link)
             print(f"channel: {named}; {host_port(at)} <-> {host_port(peer)}; start the master with: "
                   f"python -m master {_scene_arguments(args)} --peer {host_port(_with_host(at, 'THIS-HOST'))}"
-                  f"{'' if beyond is None else _open_or_sealed(args)}", flush=True)
+                  f"{'' if beyond is None else OPEN if args.insecure else SEALED}", flush=True)
             if scheduling.report is not None:
                 print(f"channel: {realtime.sentence(scheduling.report)}", flush=True)
         shell.run(interrupt)
     router = shell.router
     counts = {way: router.counts(direction)._asdict() for direction, way in enumerate(("fwd", "bwd"))}
     if args.json:
-        _event("done", summary={"counts": counts, "foreign": router.foreign, "unsealed": router.unsealed})
+        tell("done", summary={"counts": counts, "foreign": router.foreign, "unsealed": router.unsealed})
     else:
         for way, count in counts.items():
             print(f"channel: {way}: " + ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in count.items()))
@@ -215,15 +215,6 @@ def _scene_arguments(args: Namespace) -> str:
     """The scene as the master has to be given it. The link too: the two ends compare theirs, though none draws."""
     words = [quote(args.scene), *(f"--set {quote(each)}" for each in args.set)]
     return " ".join([*words, f"--link {quote(args.link)}"] if args.link else words)
-
-
-def _open_or_sealed(args: Namespace) -> str:
-    """The options of a master on a link beyond this machine, where this channel drops packets without keys."""
-    return " --insecure" if args.insecure else " --key master.key --peer-fingerprint THE-SLAVES"
-
-
-def _event(name: str, **fields: Any) -> None:
-    print(json.dumps({"event": name, **fields}), flush=True)
 
 
 if __name__ == "__main__":

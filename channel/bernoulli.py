@@ -23,12 +23,7 @@ class Bernoulli(Effect):
     def __post_init__(self) -> None:
         object.__setattr__(self, "p", probability("p", self.p))
 
-    def begin(self, rng: Rng) -> Rng:
-        """The random numbers are the whole state."""
-        return rng
-
-    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Rng]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Rng]:
         """The packets that are spared, at once."""
         spared = state.uniform(packet) >= self.p
         return packet[spared], time_ns[spared], state

@@ -36,15 +36,11 @@ class Blackout(Effect):
                               " or the link never comes back; "
                               f"write for example every={2 * self.duration + 1:g}")
 
-    def begin(self, rng: Rng) -> None:
-        """No state."""
-
-    def carry(self, state: None, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, None]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Rng]:
         """The packets outside, at once."""
         since = time_ns - nanoseconds(self.start)
         gone = since >= 0
         if self.every is not None:
             since = since % nanoseconds(self.every)
         gone &= since < nanoseconds(self.duration)
-        return packet[~gone], time_ns[~gone], None
+        return packet[~gone], time_ns[~gone], state

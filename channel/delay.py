@@ -26,10 +26,6 @@ class Delay(Effect):
         """The delay in ns: it is all that this effect does."""
         return nanoseconds(self.delay)
 
-    def begin(self, rng: Rng) -> None:
-        """No state."""
-
-    def carry(self, state: None, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, None]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Rng]:
         """Delay all packets."""
-        return packet, time_ns + self.constant_ns, None
+        return packet, time_ns + self.constant_ns, state

@@ -28,12 +28,7 @@ class Duplicate(Effect):
         object.__setattr__(self, "p", probability("p", self.p))
         object.__setattr__(self, "after", seconds("after", self.after))
 
-    def begin(self, rng: Rng) -> Rng:
-        """The random numbers are the whole state."""
-        return rng
-
-    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Rng]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Rng]:
         """Repeat some of the packets."""
         twice = state.uniform(packet) < self.p
         copies = np.concatenate((packet, packet[twice]))

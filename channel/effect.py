@@ -24,10 +24,34 @@ if TYPE_CHECKING:
 LONGEST = 3600.0  # s; packets under way are kept in memory, so no delay may be longer
 
 
-class Effect(ABC):
+class LinkPart(ABC):
+    """A path between the two ends: an effect, a chain of effects, or a link of two directions."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def in_direction(self, direction: int) -> tuple[Effect, ...]:
+        """The effects that a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
+
+    def leaves_out(self, end: int, dt_ns: int) -> LeftOutLike | None:
+        """The ticks (of dt_ns) that end 0, the master, or 1, the slave, leaves out with this link; None: none."""
+        return None
+
+    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
+                 sent: Bools | None = None) -> Arrivals:
+        """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
+        return arrivals(self, direction, count, dt_ns, seed, size, sent)
+
+    def stream(self, direction: int, seed: int, size: int) -> Stream:
+        """The same packet by packet: see `channel.schedule.Stream`."""
+        return Stream(self, direction, seed, size)
+
+
+class Effect(LinkPart):
     """The base of all effects; final subclasses are frozen dataclasses.
 
-    A subclass writes `begin` and `carry`; `check_effect` (channel.conformance) tries what is promised here.
+    A subclass writes `carry`, and `begin` where it has a state. `check_effect` (channel.conformance) tries what is
+    promised here.
     """
 
     __slots__ = ()
@@ -45,13 +69,15 @@ class Effect(ABC):
         """The delay of every packet (ns), if a constant delay is all that the effect does; otherwise None."""
         return None
 
-    @abstractmethod
     def begin(self, rng: Rng) -> State:
-        """The state before the first packet; `rng` is this effect's own, for its direction and place."""
+        """The state before the first packet; `rng` is this effect's own, for its direction and place.
+
+        Left out, the random numbers are the whole state.
+        """
+        return rng
 
     @abstractmethod
-    def carry(self, state: State, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, State]:
+    def carry(self, state: State, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, State]:
         """The packets that leave and when, and the next state.
 
         packet, time_ns: (n,) int64, sorted by time (by number if that is the effect's `order`), ns from the
@@ -61,21 +87,8 @@ class Effect(ABC):
         """
 
     def in_direction(self, direction: int) -> tuple[Effect, ...]:
-        """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
+        """Effects of either direction: this one."""
         return (self,)
-
-    def leaves_out(self, end: int, dt_ns: int) -> LeftOutLike | None:
-        """The ticks (of dt_ns) that end 0, the master, or 1, the slave, leaves out with this link; None: none."""
-        return None
-
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
-                 sent: Bools | None = None) -> Arrivals:
-        """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
-        return arrivals(self, direction, count, dt_ns, seed, size, sent)
-
-    def stream(self, direction: int, seed: int, size: int) -> Stream:
-        """The same packet by packet: see `channel.schedule.Stream`."""
-        return Stream(self, direction, seed, size)
 
     def __or__(self, after: Effect | Chain) -> Chain:
         """This effect, then `after`."""
@@ -83,7 +96,7 @@ class Effect(ABC):
 
 
 @dataclass(frozen=True, slots=True)
-class Chain:
+class Chain(LinkPart):
     """Effects one after the other: `Delay(0.05) | Bernoulli(0.02)`.
 
     Refused: `in_order` behind a queue that already receives packets out of order. When the queue drops a
@@ -106,22 +119,13 @@ class Chain:
             disordered = disordered or effect.reorders
 
     def in_direction(self, direction: int) -> tuple[Effect, ...]:
-        """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
+        """Effects of either direction: these."""
         return self.effects
 
     def leaves_out(self, end: int, dt_ns: int) -> LeftOutLike | None:
-        """The ticks that an end leaves out, see `Effect.leaves_out`: those of the first effect that brings some."""
+        """The ticks that an end leaves out: those of the first effect that brings some."""
         brought = (effect.leaves_out(end, dt_ns) for effect in self.effects)
         return next((ticks for ticks in brought if ticks is not None), None)
-
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
-                 sent: Bools | None = None) -> Arrivals:
-        """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
-        return arrivals(self, direction, count, dt_ns, seed, size, sent)
-
-    def stream(self, direction: int, seed: int, size: int) -> Stream:
-        """The same packet by packet: see `channel.schedule.Stream`."""
-        return Stream(self, direction, seed, size)
 
     def __or__(self, after: Effect | Chain) -> Chain:
         """Append `after` to these effects."""

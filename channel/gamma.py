@@ -31,12 +31,7 @@ class GammaJitter(Effect):
         object.__setattr__(self, "mean", seconds("mean", self.mean))
         object.__setattr__(self, "shape", number("shape", self.shape, low=0.05, high=1e6))
 
-    def begin(self, rng: Rng) -> Rng:
-        """The random numbers are the whole state."""
-        return rng
-
-    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Rng]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Rng]:
         """Delay each packet by its own draw."""
         delay = standard_gamma(state, packet, self.shape) * (self.mean / self.shape)
         return *later(packet, time_ns, delay), state

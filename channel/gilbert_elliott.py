@@ -71,8 +71,7 @@ class GilbertElliott(Effect):
         """The random numbers; what is kept of the channel's state only saves drawing them again."""
         return ChannelState(rng, {})
 
-    def carry(self, state: ChannelState, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, ChannelState]:
+    def carry(self, state: ChannelState, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, ChannelState]:
         """The packets that are spared, at once."""
         loss = np.where(self.bad(state, packet), self.loss_bad, self.loss_good)
         spared = state.rng.uniform(packet, 0, 1) >= loss

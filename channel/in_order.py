@@ -30,8 +30,7 @@ class InOrder(Effect):
         """The time at which the last packet left, ns."""
         return _LONG_AGO
 
-    def carry(self, state: int, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, int]:
+    def carry(self, state: int, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, int]:
         """Sort all packets by number; none leaves before the one in front of it."""
         leaves = np.maximum(np.maximum.accumulate(time_ns), state) if len(time_ns) else time_ns
         return packet, leaves, int(leaves[-1]) if len(leaves) else state

@@ -15,7 +15,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from channel.effect import probability
 from channel.rng import Bools, Floats, Rng
 from teleop.errors import Refused, number, whole_number
 
@@ -35,7 +34,7 @@ class LeftOut:
     stretch: float | None = None
 
     def __post_init__(self) -> None:
-        share = probability("share", self.share)
+        share = number("share", self.share, low=0.0, high=1.0, example="share=0.1")
         object.__setattr__(self, "share", share)
         if self.stretch is None:
             return

@@ -15,9 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING
 
-from channel.effect import Chain, Effect
-from channel.rng import Bools
-from channel.schedule import Arrivals, Stream, arrivals
+from channel.effect import Chain, Effect, LinkPart
 from teleop.errors import Refused
 from teleop.naming import PartKind, known_places, unreadable
 
@@ -67,7 +65,7 @@ _FORM = 'write for example "delay(0.05) | bernoulli(p=0.02)", or "FWD ; BWD"'
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class Link(LinkPart):
     """Different effects in the two directions: `fwd` from master to slave, `bwd` from slave to master."""
 
     fwd: Effect | Chain
@@ -80,21 +78,12 @@ class Link:
                               f"write {name}=Delay(0.0) for a direction without any effect")
 
     def in_direction(self, direction: int) -> tuple[Effect, ...]:
-        """The effects a packet passes in this direction (0: fwd, master to slave; 1: bwd)."""
+        """The effects of this direction."""
         return (self.bwd if direction else self.fwd).in_direction(direction)
 
     def leaves_out(self, end: int, dt_ns: int) -> LeftOutLike | None:
-        """The ticks that an end leaves out, see `Effect.leaves_out`: those of the direction in which it sends."""
+        """The ticks that an end leaves out: those of the direction in which it sends."""
         return (self.bwd if end else self.fwd).leaves_out(end, dt_ns)
-
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int,
-                 sent: Bools | None = None) -> Arrivals:
-        """The arrivals when packets 0..count-1 are sent at k*dt_ns: see `channel.schedule.arrivals`."""
-        return arrivals(self, direction, count, dt_ns, seed, size, sent)
-
-    def stream(self, direction: int, seed: int, size: int) -> Stream:
-        """The same packet by packet: see `channel.schedule.Stream`."""
-        return Stream(self, direction, seed, size)
 
 
 def known_effects() -> dict[str, str]:

@@ -53,8 +53,7 @@ class Mahimahi(Effect):
         """The first free slot: opportunities are counted through all repeats, each split into packets."""
         return 0
 
-    def carry(self, state: int, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, int]:
+    def carry(self, state: int, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, int]:
         """The packets that found room, when their opportunity comes.
 
         With `soonest_i` the first slot after packet i enters and `free` the first one not taken, packet i

@@ -31,12 +31,7 @@ class NormalJitter(Effect):
         object.__setattr__(self, "mean", seconds("mean", self.mean))
         object.__setattr__(self, "sigma", seconds("sigma", self.sigma))
 
-    def begin(self, rng: Rng) -> Rng:
-        """The random numbers are the whole state."""
-        return rng
-
-    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Rng]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Rng]:
         """Delay each packet by its own draw."""
         delay = np.maximum(0.0, self.mean + self.sigma * state.normal(packet))
         return *later(packet, time_ns, delay), state

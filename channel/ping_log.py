@@ -52,20 +52,15 @@ class PingLog(Effect):
         object.__setattr__(self, "start", number("start", self.start, low=0.0, high=1e6))
         path, lines, crc = read_recording("ping_log", self.path)
         sent, delay, period = probes(path, lines)
-        for name, value in (("path", path), ("crc", crc), ("_sent", sent), ("_delay", delay),
-                            ("_period", period)):
+        for name, value in (("path", path), ("crc", crc), ("_sent", sent), ("_delay", delay), ("_period", period)):
             object.__setattr__(self, name, value)
 
-    def begin(self, rng: Rng) -> None:
-        """No state."""
-
-    def carry(self, state: None, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, None]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Rng]:
         """The packets whose probe was answered, half its round trip later."""
         now = (time_ns + nanoseconds(self.start)) % self._period
         delay = self._delay[np.searchsorted(self._sent, now, side="right") - 1]
         back = delay != _LOST
-        return *by_time(packet[back], time_ns[back] + delay[back]), None
+        return *by_time(packet[back], time_ns[back] + delay[back]), state
 
 
 def probes(path: str, lines: list[str]) -> tuple[Ints, Ints, int]:
@@ -157,8 +152,7 @@ def _line(path: str, line: int, text: str) -> tuple[int, int, int | None]:
     return stamp, int(seq[1]), took
 
 
-def _evenly(path: str, first: int, newest: int,
-            answered: dict[int, tuple[int, int]]) -> tuple[Ints, Ints, int]:
+def _evenly(path: str, first: int, newest: int, answered: dict[int, tuple[int, int]]) -> tuple[Ints, Ints, int]:
     """Put the probes without a reply between the others: all from `first` to `newest`, by number."""
     if newest - first > _MOST:
         raise Refused(f"{path} counts {newest - first} probes, too many for one log; cut it into parts")

@@ -20,7 +20,7 @@ from teleop.knob import Knob
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.inputs import ARRIVALS, ArrivalTable, read_arrivals
 from teleop.live.records.reader import FILE, read_record
-from teleop.live.records.record import are_strangers
+from teleop.live.records.record import check_one_run
 from teleop.simulation.trace import far_apart
 from teleop.storage.folder import is_being_written
 
@@ -109,8 +109,7 @@ class Recorded(Effect):
             return None
         return RecordedTicks(ticks.span_ns, dt_ns, ticks.ran.tobytes())
 
-    def carry(self, state: int, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, int]:
+    def carry(self, state: int, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, int]:
         """The packets whose message came, as often as it came, and as late after they entered."""
         way = self._ways[state]
         at = time_ns // way.span_ns % (len(way.first) - 1)
@@ -157,9 +156,6 @@ def _read(master: Path, slave: Path, stamps: tuple[tuple[int, ...], ...]  # noqa
     ticks, arrivals = {}, {}
     for e, folder in (("m", master), ("s", slave)):
         headers[e], record, _ = read_record(folder)
-        if headers[e]["end"] != e:
-            raise Refused(f"{folder} is of a {NAMES[headers[e]['end']]}; give the master's folder first, then the "
-                          "slave's")
         if headers[e]["mode"] == "lockstep":
             raise Refused(f"the run in {folder} went by packets (--lockstep), over a link that was drawn up front; "
                           "give that link by --link, or record a run by the clock")
@@ -168,9 +164,7 @@ def _read(master: Path, slave: Path, stamps: tuple[tuple[int, ...], ...]  # noqa
             raise Refused(f"{folder} holds no ticks with the arrivals beside them; give the folder as the end wrote it")
         if far_apart(record.ticks):
             raise Refused(f"the ticks in {folder} lie too far apart for a link; give the folder of a run that ran on")
-    same = all(headers["m"][key] == headers["s"][key] for key in ("scene", "knobs", "dt_ns"))
-    if not same or are_strangers(master, slave):
-        raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
+    check_one_run({"m": master, "s": slave}, headers, ("scene", "knobs", "dt_ns"))
     dt_ns, every = headers["m"]["dt_ns"], {e: header.get("every", 1) for e, header in headers.items()}
     last = int(max(ticks["m"][-1], ticks["s"][-1]))  # an end that was over sooner skips all that follow
     ways = (way(dt_ns, every["m"], last, ticks["s"], arrivals["s"]),

@@ -218,12 +218,13 @@ class Flows:
         self.end(next(flow for flow in idle if flow.master[0] == most))
         return True
 
-    def begin(self, flow: Flow) -> None:
+    def begin(self, flow: Flow) -> Flow:
         """Keep a flow, in place of the one that its master has had."""
         before = self._flows.get(flow.master)
         if before is not None:
             self.end(before)
         self._flows[flow.master] = flow
+        return flow
 
     def end(self, flow: Flow) -> None:
         """Forget a flow; what was under way in it is lost, and what became of the rest stays counted."""

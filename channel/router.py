@@ -274,8 +274,8 @@ class Router:
             self.flows.end(self._open)  # the slave has one session at a time
         known.forget(session)
         mark = b"\x96" + packb(session)
-        self._open = self._begin(Flow(master, self.home, self.far, self.bulks[1], self._relay(), now, sealed=False,
-                                      mark=mark))
+        self._open = self.flows.begin(Flow(master, self.home, self.far, self.bulks[1], self._relay(), now, sealed=False,
+                                           mark=mark))
         self._open.slave = slave
         self._open.slave_spoke(now)
         self.flows.end_others(self._open, now)
@@ -318,7 +318,7 @@ class Router:
         if wire is None:
             self.foreign += 1
             return None
-        return self._begin(Flow(sender, self.home, wire, Bulk(wire), self._relay(), now, sealed=True))
+        return self.flows.begin(Flow(sender, self.home, wire, Bulk(wire), self._relay(), now, sealed=True))
 
     def _sealed_from_far(self, flow: Flow, data: bytes, sender: Address, now: int) -> None:
         """Take a sealed datagram of the slave."""
@@ -345,10 +345,6 @@ class Router:
     def _is_free(self, sender: Address, now: int) -> bool:
         """True if a session of this sender may begin: not while another's runs; its own master may ask anew."""
         return self.flows.held_by(now) in (None, sender)
-
-    def _begin(self, flow: Flow) -> Flow:
-        self.flows.begin(flow)
-        return flow
 
     def _relay(self) -> Relay:
         return Relay(self._link, self._seed, self._size)

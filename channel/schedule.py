@@ -123,8 +123,7 @@ def _sent(count: int, dt_ns: int) -> tuple[Ints, Ints]:
     return packet, packet * whole("dt_ns", dt_ns, 1)
 
 
-def _passed(link: TwoWay, direction: int, packet: Ints, time_ns: Ints, seed: int,
-            size: int) -> Iterator[Verdicts]:
+def _passed(link: TwoWay, direction: int, packet: Ints, time_ns: Ints, seed: int, size: int) -> Iterator[Verdicts]:
     whole("size", size, 1)
     for place, effect in enumerate(link.in_direction(direction)):
         if effect.order == "number":

@@ -26,12 +26,7 @@ class UniformJitter(Effect):
     def __post_init__(self) -> None:
         object.__setattr__(self, "width", seconds("width", self.width))
 
-    def begin(self, rng: Rng) -> Rng:
-        """The random numbers are the whole state."""
-        return rng
-
-    def carry(self, state: Rng, packet: Ints, time_ns: Ints,
-              size: int) -> tuple[Ints, Ints, Rng]:
+    def carry(self, state: Rng, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Rng]:
         """Delay each packet by its own draw."""
         delay = (state.uniform(packet) * nanoseconds(self.width)).astype(np.int64)
         return *by_time(packet, time_ns + delay), state

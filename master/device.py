@@ -115,8 +115,7 @@ class SimulatedMaster:
     def _move(self) -> None:
         """Move all axes over one tick, with the hand's reference."""
         r_next = self._ahead() if self._reference is not None else self._r
-        for i, (c, x, v, f, r0, r1) in enumerate(zip(
-                self._c, self._x, self._v, self._f, self._r, r_next, strict=True)):
+        for i, (c, x, v, f, r0, r1) in enumerate(zip(self._c, self._x, self._v, self._f, self._r, r_next, strict=True)):
             if self._held is not None:
                 self._x[i], self._v[i], self._z[i] = self._held[i].move(c, x, v, f, r0, r1, self._z[i])
             elif self._reference is None:

@@ -101,8 +101,7 @@ class Rest:
     def __post_init__(self) -> None:
         vector("at", self.at)
 
-    def samples(self, axes: int, count: int, dt_ns: int, first: int = 0
-                ) -> tuple[array[float], ...]:
+    def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> tuple[array[float], ...]:
         """For each axis the position (m) at the ticks first .. first+count-1."""
         return tuple(array("d", [a]) * count for a in along("at", self.at, axes))
 

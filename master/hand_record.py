@@ -36,8 +36,7 @@ LONGEST = 1 << 10  # bytes of a header
 FARTHEST = 1e6  # m, of a place: with more a scene has diverged
 _VERSION = whole(low=VERSION, high=VERSION)
 _HEADER = record({"version": _VERSION, "dt_ns": whole(low=1000, high=10**10), "axes": whole(low=1, high=MOST_AXES)})
-_PAGE = record({"version": _VERSION, "parts": list_of(record({"folder": text, "why": text}),
-                                                   most=100_000)})
+_PAGE = record({"version": _VERSION, "parts": list_of(record({"folder": text, "why": text}), most=100_000)})
 
 
 class HandWriter:

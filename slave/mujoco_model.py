@@ -158,12 +158,8 @@ def _mujoco() -> Any:
         raise Refused("the robot mujoco needs mujoco-core: pip install 'bilateral-teleop[mujoco]', or leave --robot "
                       "out for the simulated one") from error
     # Without one, MuJoCo writes each warning to stderr and into a file MUJOCO_LOG.TXT; here they become notes.
-    mujoco.set_mju_user_warning(_unsaid)
+    mujoco.set_mju_user_warning(lambda _warning: None)
     return mujoco
-
-
-def _unsaid(_warning: str) -> None:
-    pass
 
 
 def _spec(mujoco: Any, path: str) -> Any:

@@ -22,13 +22,15 @@ class DeviceError(Exception):
 
 
 class WrongNumber(Refused):
-    """A refused number: its name, its value, the range that it must be in, and an example of a good one."""
+    """A refused number: its name, its value, the range that it must be in, and an example of a good one.
 
-    def __init__(self, name: str, value: object, must: str, example: float | None, note: str = "") -> None:
+    The example is a number, which is typed behind the last word of the name, or the whole text to type.
+    """
+
+    def __init__(self, name: str, value: object, must: str, example: float | str, note: str = "") -> None:
         shown = f"{value:g}" if type(value) is float else repr(value)
-        typed = name.rpartition(" ")[2]
-        cure = "leave it out to use its default" if example is None else f"write for example {typed}={example:g}"
-        super().__init__(f"{name} must be {must}, not {shown}; {cure}{note and f' ({note})'}")
+        typed = example if isinstance(example, str) else f"{name.rpartition(' ')[2]}={example:g}"
+        super().__init__(f"{name} must be {must}, not {shown}; write for example {typed}{note and f' ({note})'}")
         self.name, self.value, self._must, self._example, self._note = name, value, must, example, note
 
     def with_name(self, name: str) -> WrongNumber:
@@ -101,11 +103,11 @@ def enumerated(names: Iterable[str], last: str = "and") -> str:
 
 
 def number(name: str, value: object, *, low: float | None = None, above: float | None = None,
-           high: float | None = None, unit: str = "") -> float:
+           high: float | None = None, unit: str = "", example: str = "") -> float:
     """Convert `value` to a float. Raises `Refused` if it is no finite number in the range.
 
     `low` and `high` are included in the range, `above` is not; the sentence gives them with the `unit`. A bool is not a
-    number here, a numpy scalar is.
+    number here, a numpy scalar is. `example`: what to type, where that is not a number behind the name.
 
     >>> number("delay", 3, low=0.0)
     3.0
@@ -113,23 +115,28 @@ def number(name: str, value: object, *, low: float | None = None, above: float |
     if type(value) is float:  # nearly always
         got = value
     elif isinstance(value, bool) or not isinstance(value, Real):
-        example = max(1.0, low if low is not None else 1.0, above + 1.0 if above is not None else 1.0)
-        raise WrongNumber(name, value, "a number", example if high is None else min(example, high))
+        raise WrongNumber(name, value, "a number", example or _in_range(low, above, high))
     else:
         try:
             got = float(value)
         except OverflowError:  # a whole number beyond all floats
             got = inf
     if not isfinite(got):
-        raise WrongNumber(name, got, "finite", None)
+        raise WrongNumber(name, got, "finite", example or _in_range(low, above, high))
     if above is not None and got <= above:
-        example = above + 1.0 if high is None else min(above + 1.0, high)
-        raise WrongNumber(name, got, f"above {above:g} {unit}".rstrip(), example)
+        raise WrongNumber(name, got, f"above {above:g} {unit}".rstrip(),
+                          example or (above + 1.0 if high is None else min(above + 1.0, high)))
     if low is not None and got < low:
-        raise WrongNumber(name, got, f"at least {low:g} {unit}".rstrip(), low)
+        raise WrongNumber(name, got, f"at least {low:g} {unit}".rstrip(), example or low)
     if high is not None and got > high:
-        raise WrongNumber(name, got, f"at most {high:g} {unit}".rstrip(), high)
+        raise WrongNumber(name, got, f"at most {high:g} {unit}".rstrip(), example or high)
     return got
+
+
+def _in_range(low: float | None, above: float | None, high: float | None) -> float:
+    """A number of the range, 1 where it is one."""
+    least = max(1.0, low if low is not None else 1.0, above + 1.0 if above is not None else 1.0)
+    return least if high is None else min(least, high)
 
 
 def whole_number(name: str, value: object, *, low: float | None = None, high: float | None = None) -> int:

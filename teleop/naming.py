@@ -128,8 +128,9 @@ class PartKind:
             raise Refused(f"the arguments of {name} must be numbers or texts in quotes: {usage}") from None
 
     def _usage(self, name: str, made: type[Any]) -> str:
-        """Example of how to write a part; of a plug-in's part only the names of its arguments are known."""
-        named = ", ".join(knob if needed else f"{knob}=..." for knob, (needed, _) in _arguments_of(made).items())
+        """Example of how to write a part: its own, or its arguments with their defaults."""
+        named = ", ".join(knob.name if knob.default is MISSING else f"{knob.name}={knob.default!r}"
+                          for knob in fields(made) if knob.init)
         return f"write for example {self.examples.get(name, f'{name}({named})')}"
 
 

@@ -16,7 +16,7 @@ from teleop.live.process.ticker import Alarm, Suspension, boottime, in_tick_loop
 from teleop.live.shell import Shell, name_part
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.packet import VERSION, Rejection
-from teleop.protocol.session import FINISHED, RENEW_NS
+from teleop.protocol.session import RENEW_NS
 from teleop.protocol.states import Cause
 
 OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
@@ -60,7 +60,7 @@ async def meet(shell: Shell) -> bool:
         now = time.monotonic_ns()
         if session.failure is not None:
             shell.outcome.end("refused", session.failure)
-        elif session.farewell not in (None, FINISHED):
+        elif session.left:
             shell.outcome.end("refused", f"the other end left before the run began: {session.farewell}")
         elif shell.interrupt.name is not None:
             shell.stop(f"it was asked to stop ({shell.interrupt.name})")
@@ -281,7 +281,7 @@ class ClockDriver:
         now = time.monotonic_ns()
         shell.drain()  # first, for it tells of what came while this process was away, and of where the grid is
         self.listening.update(now, shell.take_events())
-        if session.farewell is not None and session.farewell != FINISHED:
+        if session.left:
             shell.stop(f"the other end left: {session.farewell}")
         elif shell.interrupt.name is not None:
             shell.stop(f"it was asked to stop ({shell.interrupt.name})")
@@ -354,8 +354,7 @@ class PacketDriver:
         while not shell.outcome.over.is_set():
             if self.inbox.has(packet):
                 return True
-            left = session.farewell not in (None, FINISHED)
-            if quiet > (HEED if left else SILENT):
+            if quiet > (HEED if session.left else SILENT):
                 shell.stop(f"the other end left: {session.farewell or 'it fell silent'}")
             if shell.interrupt.name is not None:
                 shell.stop(f"it was asked to stop ({shell.interrupt.name})")
@@ -364,7 +363,7 @@ class PacketDriver:
                 await asyncio.wait_for(self._arrived.wait(), max(0.0, again - time.monotonic()))
             if time.monotonic() < again:
                 continue  # something came, perhaps from an unknown host: that is no reason to wait longer
-            quiet = quiet + 1 if left or shell.endpoint.received == heard else 0
+            quiet = quiet + 1 if session.left or shell.endpoint.received == heard else 0
             heard, again = shell.endpoint.received, time.monotonic() + AGAIN
             self.send_again()
             shell.say_again(time.monotonic_ns())

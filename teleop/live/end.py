@@ -50,6 +50,7 @@ from teleop.terminal.options import (
     tick_options,
     whole,
 )
+from teleop.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from teleop.protocol.secure.secure_link import SecureLink
@@ -65,9 +66,7 @@ def end_main(e: str, device: Callable[[Scene], LiveDevice], argv: Sequence[str] 
     return guarded(lambda: _run(e, device, ordered or device, sys.argv[1:] if argv is None else list(argv)))
 
 
-def _run(
-    e: str, device: Callable[[Scene], LiveDevice], ordered: Callable[[Scene], LiveDevice], argv: list[str]
-) -> int:
+def _run(e: str, device: Callable[[Scene], LiveDevice], ordered: Callable[[Scene], LiveDevice], argv: list[str]) -> int:
     args = _arguments(e, argv)
     devices: list[LiveDevice] = []
     try:
@@ -103,8 +102,7 @@ def _run_with(
         stem = f"{scene.name}-{NAMES[e]}"
         with (realtime.scheduling_of(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
               _with_watchdog(e, args, knobs, made, folder.path, scheduling.above) as watched_device):
-            progress = _Progress(scene)
-            say = _report_live if args.json else _quiet if args.quiet or not sys.stderr.isatty() else progress.show
+            progress = Progress(sys.stderr, scene.ticks)
             command = ["python", "-m", NAMES[e], *argv]
             about = {"scene": args.scene, "seed": args.seed, "command": command,
                      "mode": "lockstep" if args.lockstep else "live", "every": endpoint.every}
@@ -112,11 +110,11 @@ def _run_with(
             def recorder_of(scene: Scene, knobs: dict[str, str]) -> RecordWriter:
                 return RecordWriter(scene, e, folder.path, {**about, "knobs": knobs}, args.flush or EVERY)
 
-            shell = Shell(endpoint, watched_device, wire, recorder_of(scene, knobs), say, peer_timeout=args.wait,
-                          interrupt=interrupt)
+            shell = Shell(endpoint, watched_device, wire, recorder_of(scene, knobs), partial(_say, args, progress),
+                          peer_timeout=args.wait, interrupt=interrupt)
             shell.realtime = scheduling
             last.stand_by(shell)
-            shell.security.insecure = insecure
+            shell.insecure = insecure
             turning = None
             if args.orders:
                 from teleop.live.turning import Turning  # for an end that takes no orders it need not be there
@@ -146,6 +144,14 @@ def _run_with(
                 raise Refused(shell.outcome.sentence)
     _tell_result(args, result, folder.path, command)
     return code
+
+
+def _say(args: Namespace, progress: Progress, numbers: dict[str, Any]) -> None:
+    """Say the newest numbers of a tick: to a machine, or on the one line of a terminal."""
+    if args.json:
+        tell("live", **numbers)
+    elif not args.quiet and sys.stderr.isatty():
+        progress.show(numbers["k"] + 1, time.monotonic(), *live_text(numbers))
 
 
 def _arguments(e: str, argv: list[str]) -> Namespace:
@@ -314,35 +320,8 @@ def _greet(e: str, args: Any, wire: Wire, scheduling: dict[str, str] | None) -> 
 def _warn(shell: Shell, name: str, *, quiet: bool) -> None:
     """Say on standard error what is wrong, and let it be said later."""
     if not quiet:
-        shell.hint = partial(_hint, name)
+        shell.hint = lambda sentence: print(f"{name}: {sentence}", file=sys.stderr, flush=True)
     if holds_on(shell):
         complain(UNWATCHED, DONE)
 
 
-def _hint(name: str, sentence: str) -> None:
-    print(f"{name}: {sentence}", file=sys.stderr, flush=True)
-
-
-def _report_live(numbers: dict[str, Any]) -> None:
-    tell("live", **numbers)
-
-
-def _quiet(numbers: dict[str, Any]) -> None:
-    pass
-
-
-class _Progress:
-    """The live line of an end that was started by hand."""
-
-    def __init__(self, scene: Scene) -> None:
-        from teleop.terminal.progress import Progress
-
-        self._bar = Progress(sys.stderr, scene.ticks)
-
-    def show(self, numbers: dict[str, Any]) -> None:
-        """Show the newest numbers."""
-        self._bar.show(numbers["k"] + 1, time.monotonic(), *live_text(numbers))
-
-    def end(self) -> None:
-        """Leave the line, and go on below it."""
-        self._bar.end()

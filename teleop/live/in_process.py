@@ -22,7 +22,7 @@ from teleop.protocol.endpoint import Endpoint, Reading, Stepped
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
 from teleop.scene.scene import Scene
-from teleop.simulation.ending import Ending, divergence, verdict
+from teleop.simulation.ending import Ending, divergence, ran_to_end, verdict
 from teleop.simulation.plan import check_seed, link_plans
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.result import Result
@@ -32,7 +32,6 @@ from teleop.terminal.answer import Answer
 Make = Callable[[Scene], LiveDevice]
 MEETS_NS = 1_000_000_000  # of virtual time, within which the ends have met
 NUMBER = 1  # of the session: nothing is drawn
-ANALYSE = "; to see "  # behind it stands what to type about the scene's own bodies
 
 
 def command(args: Namespace) -> Answer:
@@ -67,7 +66,7 @@ def run_stepped(scene: Scene, make: Mapping[str, Make], *, seed: int = 0, clock:
         devices = {}
         for e in "ms":
             devices[e] = open_device(make[e], scene)
-            stack.callback(getattr(devices[e], "close", _nothing))
+            stack.callback(getattr(devices[e], "close", lambda: None))
         return _run(scene, devices, seed, clock, dict(named or {}))
 
 
@@ -82,10 +81,6 @@ def _check(scene: Scene) -> None:
     if scene.leaves_out("m") is not None or scene.leaves_out("s") is not None:
         raise Refused("ticks are left out by order where both devices are simulated; leave --device and --robot out, "
                       "or left_out (of a recorded link write left_out=False)")
-
-
-def _nothing() -> None:
-    pass
 
 
 def _run(scene: Scene, devices: Mapping[str, LiveDevice], seed: int, clock: Callable[[], int] | None,
@@ -185,22 +180,16 @@ def _judge_of(why: Ending | None, devices: Mapping[str, LiveDevice]) -> Judge:
     """Judge of how the run ended.
 
     Whether it comes to rest is judged where nothing but the scene's hand moves it. A person or a recording may move
-    a device otherwise, of which the scene knows nothing: such a run that reached its end is ok. What to type next is
-    said of the scene's bodies alone, for an analysis knows no others.
+    a device otherwise, of which the scene knows nothing: such a run that reached its end is ok.
     """
     all_simulated = all(getattr(device, "scene_body", False) for device in devices.values())
-    known = all_simulated or all(getattr(device, "scene_body", False) or getattr(device, "passive", False)
-                       for device in devices.values())
+    known = all(getattr(device, "scene_body", False) or getattr(device, "passive", False)
+                for device in devices.values())
 
     def judge(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, trip: int) -> Ending:
         if why is not None and why.sentence:
             return why
-        ending = verdict(prepared, trace, ran, end, trip)
-        if all_simulated or ending.status == "diverged":
-            return ending
-        if not known:
-            return Ending("ok", ending.sentence.partition(";")[0])
-        notes = tuple([note.partition(ANALYSE)[0] for note in ending.notes])
-        return ending._replace(sentence=ending.sentence.partition(ANALYSE)[0], notes=notes)
+        ending = verdict(prepared, trace, ran, end, trip, advises=all_simulated)
+        return ending if known or ending.status == "diverged" else Ending("ok", ran_to_end(prepared.scene, ran))
 
     return judge

@@ -111,7 +111,7 @@ def _steps(shell: Shell) -> Iterator[float]:
     if shell.left:
         return
     yield from _zero(shell)
-    shell.guarded(lambda: _write_events(shell))
+    shell.guarded(shell.take_events)
     shell.guarded(shell.recorder.close)
     for _ in range(3):  # a farewell may be lost too
         shell.guarded(shell.bye)
@@ -130,10 +130,6 @@ def _zero(shell: Shell) -> Iterator[float]:
             break
         yield PAUSE
     shell.free = True
-
-
-def _write_events(shell: Shell) -> None:
-    shell.take_events()
 
 
 class LastResort:

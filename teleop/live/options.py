@@ -49,22 +49,9 @@ def is_local(at: Address) -> bool:
     return at[0].startswith("127.")
 
 
-def tell_insecure(at: Address) -> None:
-    """Say on the terminal that a link is in the open."""
-    _tell(f"the link to {host_port(at)} is neither authenticated nor encrypted")
-
-
-class LinkSecurity:
-    """The state of a link beyond loopback. `insecure`: without keys, as --insecure allows or a relay reports."""
-
-    def __init__(self) -> None:
-        self.insecure = False
-
-    def tell_relayed(self, in_the_open: bool) -> None:
-        """Say so, once, of a link that a channel on the way carries beyond its machine."""
-        if in_the_open and not self.insecure:
-            self.insecure = True
-            _tell("a channel on the way carries this link beyond its machine, neither authenticated nor encrypted")
+def tell_insecure(link: str) -> None:
+    """Say on the terminal that `link` is in the open."""
+    print(f"teleop: INSECURE: {link} neither authenticated nor encrypted", file=sys.stderr, flush=True)
 
 
 def secure_link(e: str, args: Namespace, at: Address) -> tuple[SecureLink | None, bool]:
@@ -104,12 +91,8 @@ def _open(at: Address, args: Namespace) -> bool:
         raise Refused(f"{host_port(at)} reaches beyond this machine, and a link without keys can be read, changed and "
                       "taken over; make a key at each end with `teleop keygen NAME` and give --key and "
                       "--peer-fingerprint, or write --insecure in a network you trust")
-    tell_insecure(at)
+    tell_insecure(f"the link to {host_port(at)} is")
     return True
-
-
-def _tell(sentence: str) -> None:
-    print(f"teleop: INSECURE: {sentence}", file=sys.stderr, flush=True)
 
 
 def ticks_of(scene: Scene, rate: float | None, *, lockstep: bool, spin: bool) -> int:

@@ -23,7 +23,7 @@ from teleop.law.contract import Method, not_finite, refusal
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, deadline_of
 from teleop.live.live_line import LiveLine, Say
 from teleop.live.net.wire import DRAIN, Wire
-from teleop.live.options import LinkSecurity
+from teleop.live.options import tell_insecure
 from teleop.live.orders import SHARE, Orders, intake
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.realtime import RealTime
@@ -33,7 +33,7 @@ from teleop.protocol.connection import Connection
 from teleop.protocol.endpoint import Axes, Endpoint, Reading
 from teleop.protocol.guard import Event
 from teleop.protocol.packet import one_line
-from teleop.protocol.session import FINISHED, SessionBegun
+from teleop.protocol.session import SessionBegun
 from teleop.scene.scene import Scene
 from teleop.simulation.ending import divergence
 from teleop.terminal.options import DONE, complain
@@ -165,7 +165,7 @@ class Shell:
         self.counts = EndCounts(last=-endpoint.every)
         self._span_ns = endpoint.every * endpoint.scene.dt_ns  # another scene keeps both
         self.live_line = LiveLine(endpoint, lambda numbers: say(numbers | {"skipped": self.counts.skipped_share}))
-        self.security = LinkSecurity()
+        self.insecure = False  # the link is in the open beyond loopback, as --insecure allows or a relay reports
         self.realtime: RealTime | None = None  # the scheduling of its process
         self.peer_timeout = peer_timeout  # s for the first exchange; None: without a bound
         self.hint: Callable[[str], None] = lambda _sentence: None  # takes the reason why no peer is there
@@ -203,7 +203,7 @@ class Shell:
         """End the run now, as a stop that is none of the scene's doing."""
         self.outcome.end("stopped", f"stopped at t = {self.so_far():.3f} s: {why}")
 
-    def guarded(self, callback: Callable[[], None]) -> None:
+    def guarded(self, callback: Callable[[], object]) -> None:
         """Call `callback`; whatever it raises ends the run."""
         try:
             callback()
@@ -219,7 +219,7 @@ class Shell:
 
     def bye(self) -> None:
         """Send the farewell that says how the run ended for this end."""
-        reason = FINISHED if self.outcome.status == "ok" else self.outcome.sentence
+        reason = None if self.outcome.status == "ok" else self.outcome.sentence
         for data, to in self.connection.bye(reason, time.monotonic_ns()):
             self.wire.answer(data, to)
 
@@ -255,7 +255,9 @@ class Shell:
             if isinstance(event, SessionBegun):
                 begun = True
                 self.note(Event(self.counts.ran, "met", f"session {event.number:016x}"))
-                self.security.tell_relayed(self.endpoint.session.in_the_open)
+                if self.endpoint.session.in_the_open and not self.insecure:
+                    self.insecure = True
+                    tell_insecure("a channel on the way carries this link beyond its machine,")
             else:
                 self.note(event)
         return begun

@@ -71,7 +71,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
     guard = endpoint.guard
     old = [age_note(NAMES[endpoint.e], guard.old, guard.oldest, guard.age)] if guard.old and guard.age else []
     total = shell.counts.skipped + shell.counts.ticks
-    notes = [*old, *getattr(shell.device.device, "notes", ()), *cut, *[INSECURE] * shell.security.insecure,
+    notes = [*old, *getattr(shell.device.device, "notes", ()), *cut, *[INSECURE] * shell.insecure,
              *[UNWATCHED] * holds_on(shell), shell.recorder.trouble, shell.recorder.inputs.trouble,
              clock_note(endpoint.link),
              sums_note(endpoint.rejected["integrals"], NAMES["s" if endpoint.e == "m" else "m"]),

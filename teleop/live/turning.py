@@ -34,8 +34,7 @@ from teleop.live.records.record import RecordWriter, RunFolder
 from teleop.live.shell import EndCounts, Shell
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.guard import Event
-from teleop.protocol.session import CLUTCH, TURN
-from teleop.protocol.states import Cause
+from teleop.protocol.packet import Code
 from teleop.scene.scene import Scene
 from teleop.storage.folder import claim
 
@@ -56,7 +55,7 @@ class Turning:
                  record: Callable[[Scene, dict[str, str]], RecordWriter]) -> None:
         self._shell, self._folder, self._knobs, self._load, self._record = shell, folder, knobs, load, record
         self._device = device
-        self._waits: set[str] = set()  # for these no next session is begun
+        self._waits: set[Code] = set()  # for these no next session is begun
         self._next: dict[str, Any] | None = None  # the turn that is under way, before zero force
         self._newest: dict[str, Any] | None = None  # the turn that came meanwhile
         self._met = 0  # sessions, when the turn was made
@@ -106,22 +105,22 @@ class Turning:
 
     def _clutch(self, is_open: bool) -> None:
         if is_open:
-            self._shell.endpoint.session.end(CLUTCH, Cause.ORDERED)
-            self._wait(CLUTCH)
+            self._shell.endpoint.session.end(Code.CLUTCH)
+            self._wait(Code.CLUTCH)
         else:
-            self._go_on(CLUTCH)
+            self._go_on(Code.CLUTCH)
 
     def _begin(self, order: dict[str, Any]) -> None:
         self._next = order
-        self._wait(TURN)
-        self._shell.endpoint.session.end(TURN, Cause.ORDERED)
+        self._wait(Code.TURN)
+        self._shell.endpoint.session.end(Code.TURN)
         self._look()
 
-    def _wait(self, why: str) -> None:
+    def _wait(self, why: Code) -> None:
         self._waits.add(why)
         self._shell.endpoint.session.renews = False
 
-    def _go_on(self, why: str) -> None:
+    def _go_on(self, why: Code) -> None:
         self._waits.discard(why)
         self._shell.endpoint.session.renews = not self._waits
 
@@ -132,9 +131,9 @@ class Turning:
         if self._next is not None and self._shell.endpoint.session.zero_force:
             order, self._next = self._next, None
             self._turn(order)
-        elif self._turned and TURN in self._waits:
+        elif self._turned and Code.TURN in self._waits:
             if not self._aligning or self._device.aligned:
-                self._go_on(TURN)
+                self._go_on(Code.TURN)
         elif self._turned and self._is_released():
             self._turned = False
             self._align(None)
@@ -171,7 +170,7 @@ class Turning:
                 raise
         except Refused as refused:
             refuse(str(refused))
-            self._go_on(TURN)
+            self._go_on(Code.TURN)
             return
         k = shell.counts.last + shell.endpoint.every
         shell.recorder.note(Event(shell.counts.ran, "turned", _changes(self._knobs, knobs)))
@@ -184,7 +183,7 @@ class Turning:
         endpoint.session.manifest = manifest
         if deadline is not None:
             endpoint.guard.lapse_after(deadline)
-        endpoint.join(k, TURN)
+        endpoint.join(k, Code.TURN.sentence)
         shell.go_on(endpoint, recorder, EndCounts(last=shell.counts.last, first=k, ran=shell.counts.last))
         self._record_hand()
         self._met, self._turned = endpoint.session.met, True

@@ -61,7 +61,7 @@ def carried(plant: Plant, path: Sequence[float], body: MassDamper, dt: float) ->
         return _along(plant, Carried(plant.c, path, Speeds(path, dt), body.damping, len(path) - 1), slides)
     places = list(path)
     if set(map(type, places)) != {float} or not all(map(isfinite, places)):
-        places = [number(f"the path at tick {k}", place) for k, place in enumerate(places)]
+        places = [number(f"the path at tick {k}", place, example="path=[0.0, 0.001]") for k, place in enumerate(places)]
     if not places:
         raise Refused("a path needs a place for each tick; write for example path=[0.0] for one that rests")
     speeds = [0.0, *[(end - begin) / dt for begin, end in pairwise(places)], 0.0]

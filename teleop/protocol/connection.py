@@ -53,8 +53,8 @@ class Connection:
             self.peer = self.configured
         return self._to_peer(datagrams) if datagrams else []
 
-    def bye(self, reason: str, now: int) -> list[tuple[bytes, Address]]:
-        """The farewell to send when this end leaves."""
+    def bye(self, reason: str | None, now: int) -> list[tuple[bytes, Address]]:
+        """The farewell to send when this end leaves, None: at its end."""
         return self._to_peer(self.endpoint.session.bye(reason, now))
 
     def events(self) -> list[Event | SessionBegun]:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol
 from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.law import messages as message_types
+from teleop.protocol.end_law import EndLaw, Origin, RowPlaces
 from teleop.protocol.estimates import LinkEstimates
 from teleop.protocol.guard import ForceGuard, HeldForce
 from teleop.protocol.inbox import Heard, Inbox, Messages, Resampling
@@ -41,8 +42,7 @@ from teleop.protocol.switches import SwitchEvents, switches_of, unlike
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import Plan
-from teleop.simulation.source import live_of
-from teleop.simulation.structure import NAMES, SENSED, columns, numbers_of, structure_of
+from teleop.simulation.structure import NAMES, SENSED, structure_of
 from teleop.simulation.tick import LiveTick
 from teleop.stages.wave_integral import Integrals
 
@@ -151,63 +151,6 @@ class MessageFormat:
         return payload
 
 
-class RowPlaces(NamedTuple):
-    """Places of columns in a row of the record; None where the row has no such column."""
-
-    E_in: int | None  # energy that came in at this end, J
-    E_out: int | None  # energy that the messages played here may have brought, J
-    sent: int | None  # did the deadband let the message through
-    positions: list[int]
-    queues: list[int]  # of waves (s), one an axis
-
-    @classmethod
-    def of(cls, e: str, names: list[str]) -> RowPlaces:
-        """The places at the end `e` in a row with these columns; the name of a column per axis stands once an axis."""
-        into, out = ("fwd", "bwd") if e == "m" else ("bwd", "fwd")
-        E_in, E_out, sent = (names.index(name) if name in names else None for name in (
-            f"E_in_{into}", f"E_out_{out}", f"sent_{e}"))
-        return cls(E_in, E_out, sent, [i for i, name in enumerate(names) if name in (f"x_{e}@", f"q_{e}@")],
-                   [i for i, name in enumerate(names) if name == f"queue_{e}@"])
-
-
-class Origin:
-    """Origin of a law's positions, in the device's own: `at` is None where the two are the same."""
-
-    def __init__(self, scene: Scene, e: str) -> None:
-        self._starts = scene.vector(f"start_{e}", getattr(scene, f"start_{e}"))
-        self._device: Any = getattr(scene, f"device_{e}")
-        self.placed = False  # is it known where the device was before tick 0
-        self.away: Axes | None = None  # how far that is from where the scene begins, if it is not there
-        self.at: Axes | None = None
-
-    def place(self, x: Axes, *, moves: bool) -> None:
-        """Take note of where the device is before tick 0. `moves`: the law's positions may count from elsewhere."""
-        self.placed = True
-        if x != self._starts and moves:
-            self.away = tuple([a - b for a, b in zip(x, self._starts, strict=True)])
-
-    def move(self, x: Axes) -> None:
-        """Count from `x`, or from the nearest whole step of an encoder."""
-        self.at = x
-        if self._device is not None and self._device.encoder is not None:
-            from teleop.stages.encoder import encode
-
-            self.at = tuple([encode((self._device.encoder.step, 0.5), each) for each in x])
-
-    def of_law(self, x: Axes) -> Axes:
-        """A position of the device as the law sees it."""
-        return x if self.at is None else tuple([a - b for a, b in zip(x, self.at, strict=True)])
-
-    def of_device(self, row: tuple[float, ...], positions: list[int]) -> tuple[float, ...]:
-        """A row of the record with its positions as the device reads them."""
-        if self.at is None:
-            return row
-        out = list(row)
-        for n, i in enumerate(positions):
-            out[i] += self.at[n % len(self.at)]
-        return tuple(out)
-
-
 class Endpoint:
     """The master's or the slave's end of a scene, live.
 
@@ -255,13 +198,7 @@ class Endpoint:
         self._rates = Resampling(self.format.rx_type, mine=self.every, turning=scene.turning)
         self._origin = Origin(scene, e)
         self._met = 1  # the session that the law was begun for
-        self._live: Any = None  # makes the law's tick
-        self._started: Any = None  # the law's tick, once it has begun
-
-    @property
-    def way(self) -> Any:
-        """Times (ns) of the way towards this end: one-way delays."""
-        return self.link.way
+        self._law: EndLaw | None = None  # once it is known what the device senses
 
     def senses(self, sensor: bool, switches: tuple[str, ...] = ()) -> None:
         """Make this end's tick for a device with or without a force `sensor`, before the first: then there is no time.
@@ -274,11 +211,9 @@ class Endpoint:
             raise Refused(why)
         if getattr(structure_of(scene), e).has.sensed and not sensor:
             raise Refused(_no_force(scene, e))
-        self._live = live_of(self.own, e, sensor)
-        names = columns(scene, e, sensor)
-        flat = [n for name in names for n in ([name] * scene.axes if "@" in name else [name])]
-        self.places = RowPlaces.of(e, flat)
-        self._switches = SwitchEvents(scene, flat) if "clutch_m" in flat else None
+        law = self._law = EndLaw(self.own, e, sensor, self._origin)
+        self.places = law.places
+        self._switches = SwitchEvents(scene, law.names) if "clutch_m" in law.names else None
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
         """Take a datagram that came at `now`; the datagrams to send back at once. Never raises on any bytes.
@@ -340,8 +275,9 @@ class Endpoint:
 
         `trouble`: why this end may hold no force, if something of which the link knows nothing has gone wrong.
         """
-        if self._started is None or self._met != self.session.met:
-            self._begin(k, reading)
+        law = self._law
+        if law is None or not law.begun or self._met != self.session.met:
+            law = self._begin(k, reading)
         played = self._rates.take(self.inbox, self._tick, k)
         gain = self._gain(k, now, None if played is None else k - played[0],
                           None if trouble is None else Reason(Cause.DEVICE, trouble))
@@ -356,14 +292,13 @@ class Endpoint:
             seq if self.every == 1 else seq / self.every, rx, waves, gain, self.held.force,
             self.held.since(k), 1.0 if reading.clutch else 0.0,
             1.0 if reading.present or reading.present is None else 0.0)
-        force, tx, sent, row = self._started.send(inputs)
+        force, tx, sent, row = law.answer(inputs)
         if message is not None and message.E_in is not None and self.places.E_out is not None:
             margin = message.E_in - row[self.places.E_out]
             if self.stamp_margin is None or margin < self.stamp_margin:
                 self.stamp_margin = margin
         if self._switches is not None:
             self._switches.update(k, row, self.guard)
-        row = self._origin.of_device(row, self.places.positions)
         self._tick = k
         if not self.held.take(k, force):
             self.force_failed = f"f_{self.e}"
@@ -397,11 +332,13 @@ class Endpoint:
             self.guard.tell(k, "joined", why)
             self._met = 0
 
-    def _begin(self, k: int, reading: Reading) -> None:
+    def _begin(self, k: int, reading: Reading) -> EndLaw:
         """Begin the law: for the first session as the scene says, for a later one from rest, where the end is."""
-        if self._live is None:
+        if self._law is None:
             self.senses(reading.f is not None, switches_of(reading))
-        first, self._met = self._met == 1 and self._started is None, self.session.met
+        law = self._law
+        assert law is not None
+        first, self._met = self._met == 1 and not law.begun, self.session.met
         self.held.begin(k)
         origin = self._origin
         if first and not origin.placed:
@@ -419,11 +356,9 @@ class Endpoint:
                 self.presence.begin()
                 self.link.begin(self._rates.theirs)
             self.guard.begin(k, "the law begins from rest, and its positions from here")
-        x = origin.of_law(reading.x)
         self._rates.begin(self.session.peer_every)
-        begins = numbers_of(self.own, {self.e: x})
-        self._started = self._live(begins, self.scene.law, self.own.dt_ns / 1e9, x, reading.v, reading.f)
-        self._started.send(None)
+        law.begin(origin.of_law(reading.x), reading.v, reading.f)
+        return law
 
     def _gain(self, k: int, now: int, age: int | None, trouble: Reason | None) -> float:
         """The guard's gain at tick k, and whether the session is over. `age`: ticks since its message was sent."""

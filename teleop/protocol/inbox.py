@@ -209,9 +209,7 @@ class Inbox(Generic[Entry]):
         self.played += fresh is not None
         return fresh
 
-    def _exactly(
-        self, wanted: int, arrived: list[tuple[int, Entry]], *, skipped: bool
-    ) -> tuple[int, Entry] | None:
+    def _exactly(self, wanted: int, arrived: list[tuple[int, Entry]], *, skipped: bool) -> tuple[int, Entry] | None:
         early = self._early
         for packet, entry in arrived:
             if not self._is_first(packet):

@@ -52,6 +52,24 @@ class Kind(IntEnum):
     RENEW = 7  # slave to master: the session is over, and why; begin another
 
 
+class Code(IntEnum):
+    """Code of the reason in a RENEW or BYE, in the place of `seq`. An end decides by it, never by the sentence."""
+
+    NONE = 0  # a reason that the sentence alone says
+    CLUTCH = 1  # a person holds the clutch open
+    TURN = 2  # a person has ordered another law
+    FINISHED = 3  # the run is at its end, which is no reason for the other end to stop
+
+    @property
+    def sentence(self) -> str:
+        """Sentence that stands beside it."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {Code.NONE: "", Code.CLUTCH: "the clutch is open", Code.TURN: "a turn", Code.FINISHED: "finished"}
+_UNCODED = {sentence: code for code, sentence in _SENTENCES.items()}
+
+
 class Rejection(StrEnum):
     """Why a datagram was not accepted; in the order in which it is looked for."""
 
@@ -82,7 +100,7 @@ class Packet(NamedTuple):
 
     kind: Kind
     session: int  # 0 .. 2**64 - 1
-    seq: int  # 0 .. 2**32 - 1; for DATA the tick it was sent at, modulo 2**32: see `unwrapped`
+    seq: int  # 0 .. 2**32 - 1; for DATA the tick it was sent at, modulo 2**32: see `unwrapped`; or a `Code`
     sent_ns: int
     echo: Echo | None  # None: nothing heard yet
     payload: Payload  # of the type that the kind says
@@ -92,7 +110,7 @@ class Packet(NamedTuple):
 DATA = frozenset((Kind.FORTH, Kind.BACK))
 """The kinds that carry the law's messages."""
 
-_KINDS = tuple(Kind)
+_KINDS, _CODES = tuple(Kind), frozenset(Code)
 _LAST_DATA = int(Kind.BACK)
 _NUMBERS = frozenset((float,))
 _TIMES = (int, int)
@@ -161,6 +179,16 @@ def decode(data: bytes, width: int) -> Packet | Rejection:
     except Exception:  # bytes of an unknown sender: whatever msgpack raises over them, they are not a packet
         return Rejection.MALFORMED
     return _checked(_KINDS[kind], fields, width)
+
+
+def code_of(packet: Packet) -> Code:
+    """The code in a RENEW or BYE, NONE if it is unknown here.
+
+    Ends sent the sentence alone before there were codes: for this release that counts too.
+    """
+    if packet.seq == 0 and isinstance(packet.payload, str):
+        return _UNCODED.get(packet.payload, Code.NONE)
+    return Code(packet.seq) if packet.seq in _CODES else Code.NONE
 
 
 def _checked(kind: Kind, fields: Any, width: int) -> Packet | Rejection:

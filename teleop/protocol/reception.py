@@ -96,6 +96,12 @@ SUM = 1e-15  # of a sum, a tick of the grid: what rounding makes of it
 EVEN = 1.0 + 1e-9  # a steady wave fulfils the inequality with equality
 
 
+def since(before: Waves, waves: Waves) -> Waves:
+    """Integrals of waves since `before`."""
+    return tuple([Integrals(*[now - then for now, then in zip(each, one, strict=True)])
+                  for each, one in zip(waves, before, strict=True)])
+
+
 class IntegralCheck:
     """Compares the messages of a session with the newest that was taken. `dt`: the tick of the grid, s."""
 
@@ -146,5 +152,4 @@ class Reception:
         """
         if self._first is None:
             self._first = waves
-        return tuple([Integrals(*[now - then for now, then in zip(each, first, strict=True)])
-                      for each, first in zip(waves, self._first, strict=True)])
+        return since(self._first, waves)

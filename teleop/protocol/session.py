@@ -40,7 +40,7 @@ from typing import NamedTuple
 
 from teleop.protocol.estimates import AHEAD_NS, MOST_RTT_NS, ClockExchange
 from teleop.protocol.manifest import EVERY, INSECURE, MOST_CLOCK_NS, TICK_0, manifest_difference, parted
-from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, encode, one_line
+from teleop.protocol.packet import MOST_CONTROL, Code, Echo, Kind, Packet, code_of, encode, one_line
 from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, Cause, Reason, SessionEvent, SessionState
 
 RENEW_NS = 1_000_000_000  # of silence, and a session is over
@@ -118,8 +118,6 @@ class Liveness:
 
 AGAIN_NS = 50_000_000  # what is not answered is sent again after this
 OVER = "the session is over"
-CLUTCH, TURN = "the clutch is open", "a turn"  # reasons of a person; the other end has them in RENEW
-FINISHED = "finished"  # the farewell of an end that ran to its end: no reason for the other to stop
 NEXT = 16  # numbers: a HELLO of one of these after a session's own is of its master, who renews it
 ROOM = 96  # bytes: what a WELCOME says beyond its HELLO
 SHORTEST = 1200  # bytes of a HELLO: the sentence of a REFUSE fits, whole if it is in English
@@ -142,9 +140,9 @@ class Session:
     """Session of an end, its side of the exchange. `now` is the end's own monotonic clock in ns.
 
     `start_ns` becomes the time of tick 0 on that clock; `failure` the sentence with which this end must stop;
-    `farewell` the reason that the peer gave for leaving; `ended` the reason why the session is over for this end, from
-    then until another begins. `every`: this end ticks at every so many ticks of the grid. `met` counts the sessions
-    that this end has begun. `heals=False`: no silence ends the session.
+    `farewell` the reason that the peer gave for leaving, `left` says whether it left before its end; `ended` the reason
+    why the session is over for this end, from then until another begins. `every`: this end ticks at every so many
+    ticks of the grid. `met` counts the sessions that this end has begun. `heals=False`: no silence ends the session.
     """
 
     def __init__(
@@ -160,6 +158,7 @@ class Session:
         self.start_ns: int | None = None
         self.failure: str | None = None
         self.farewell: str | None = None
+        self.left = False
         self.ended: Reason | None = None
         self.met = 0
         self.joined = False  # was the other end running already when this one came
@@ -170,6 +169,7 @@ class Session:
         self.clock = ClockExchange()
         self.liveness = Liveness(master=master)
         self.new_events: list[SessionBegun] = []  # since they were taken last
+        self._code = Code.NONE  # of the reason why it is over
         self._table = MASTER if master else SLAVE
         self._repeated = REPEATED[master]
         self._heals = heals
@@ -222,12 +222,13 @@ class Session:
         if kind is Kind.START:
             self.take(SessionEvent.START)
         elif kind is Kind.RENEW:
-            ordered = packet.payload in (CLUTCH, TURN)
+            ordered = code_of(packet) in (Code.CLUTCH, Code.TURN)
             self.end(f"{OVER}: {packet.payload}", Cause.ORDERED if ordered else Cause.SESSION_OVER)
         elif kind is Kind.REFUSE and self.take(SessionEvent.REFUSE):
             self.failure = str(packet.payload)
         elif kind is Kind.BYE and self.take(SessionEvent.BYE):
             self.farewell = str(packet.payload)
+            self.left = code_of(packet) is not Code.FINISHED
         return []
 
     def belongs(self, packet: Packet, now: int) -> bool:
@@ -255,10 +256,14 @@ class Session:
         if now > self.liveness.sound_ns and self.carries_data and self._heals:
             self._end_if(self.liveness.judge(now))
 
-    def end(self, why: str, cause: Cause = Cause.SESSION_OVER) -> None:
-        """The session is over for this end: it sends and takes no messages, and is released by another one alone."""
+    def end(self, why: str | Code, cause: Cause = Cause.SESSION_OVER) -> None:
+        """The session is over for this end: it sends and takes no messages, and is released by another one alone.
+
+        `why`: a sentence, or the code of what a person has ordered.
+        """
         if self._heals and self.take(SessionEvent.END):
-            self.ended = Reason(cause, why)
+            self._code = why if isinstance(why, Code) else Code.NONE
+            self.ended = Reason(cause, why) if isinstance(why, str) else Reason(Cause.ORDERED, why.sentence)
             self._next_ns = None
 
     def take_data(self, now: int, sent_ns: int | None = None) -> None:
@@ -297,13 +302,15 @@ class Session:
             return []
         self._next_ns = now + AGAIN_NS
         if kind is Kind.RENEW:
-            return [self._packet(kind, now, "" if self.ended is None else self.ended.why)]
+            return [self._packet(kind, now, "" if self.ended is None else self.ended.why, code=self._code)]
         return [self._hello(now) if kind is Kind.HELLO else self._start(now)]
 
-    def bye(self, reason: str, now: int) -> list[bytes]:
-        """The farewell to send when this end leaves; nothing if it never met a peer."""
+    def bye(self, reason: str | None, now: int) -> list[bytes]:
+        """The farewell to send when this end leaves, None: at its end; nothing if it never met a peer."""
+        code = Code.FINISHED if reason is None else Code.NONE
         numbers = [self._asking if self.number is None else self.number, self._former if self.meeting else None]
-        return [self._packet(Kind.BYE, now, reason, number=each) for each in numbers if each is not None]
+        return [self._packet(Kind.BYE, now, reason or code.sentence, number=each, code=code)
+                for each in numbers if each is not None]
 
     def _end_if(self, why: str | None) -> None:
         if why is not None:
@@ -413,8 +420,8 @@ class Session:
 
     def _packet(
         self, kind: Kind, now: int, payload: dict[str, str] | str | int, echo: Echo | None = None,
-        *, number: int | None = None, size: int | None = None,
+        *, number: int | None = None, size: int | None = None, code: Code = Code.NONE,
     ) -> bytes:
         session = self.number if number is None else number
         assert session is not None
-        return encode(Packet(kind, session, 0, now, echo, payload), size)
+        return encode(Packet(kind, session, code, now, echo, payload), size)

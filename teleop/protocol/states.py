@@ -3,7 +3,7 @@
 `MASTER` and `SLAVE` are all there is to it: an event that a state has no line for is ignored, in `Session.take` and
 nowhere else. The diagrams in `teleop/protocol/README.md` are made from the two tables, by
 
-    python -m teleop.protocol.states
+    python -m tests.teleop.protocol.diagrams
 
 and a test compares them. The form is that of h11's `_state.py`.
 """
@@ -117,25 +117,3 @@ CARRIES_DATA = frozenset((_S.STARTING, _S.RUNNING))
 
 MEETING = frozenset((_S.LISTENING, _S.ASKED, _S.ASKING, _S.RENEWING, _S.REFUSED))
 """The states in which an exchange has yet to be done."""
-
-
-def diagram(table: Table, first: SessionState) -> str:
-    """The table as a state diagram in mermaid's language; events between the same two states share one arrow."""
-    arrows: dict[tuple[str, str], list[str]] = {}
-    for (state, event), then in table.items():
-        arrows.setdefault((state.name, then.name), []).append(event.name)
-    lines = [f"    {state} --> {then}: {', '.join(events)}" for (state, then), events in arrows.items()]
-    named = dict.fromkeys([first, *[state for pair in table for state in (pair[0], table[pair])]])
-    legend = [f"    {state.name}: {state.name}\\n{state.value}" for state in named]
-    return "\n".join(["```mermaid", "stateDiagram-v2", *legend, f"    [*] --> {first.name}", *lines, "```"])
-
-
-def diagrams() -> str:
-    """Both diagrams and the list of events, as they stand in the README of this folder."""
-    events = "\n".join(f"- `{event.name}`: {event.value}" for event in SessionEvent)
-    return (f"### The master's session\n\n{diagram(MASTER, SessionState.ASKING)}\n\n"
-            f"### The slave's session\n\n{diagram(SLAVE, SessionState.LISTENING)}\n\n### Events\n\n{events}\n")
-
-
-if __name__ == "__main__":
-    print(diagrams(), end="")

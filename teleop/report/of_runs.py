@@ -84,7 +84,7 @@ def of_several(runs: Sequence[RunView], title: str = "", under: str = "", before
     ended = ", ".join(f"{sum(run.result.status == status for run in runs)} {status}" for status in
                       dict.fromkeys(run.result.status for run in runs))
     return Section(title=title or f"{', '.join(scenes)}: {len(runs)} runs", under=under or ", ".join(
-        run.name for run in runs), sentence=f"{len(runs)} runs: {ended}", blocks=blocks)
+        run.name for run in runs), sentence=f"{len(runs)} {noun}s: {ended}", blocks=blocks)
 
 
 def most_to_see(results: Sequence[Result], most: int) -> list[int]:
@@ -179,8 +179,7 @@ def _compared(runs: Sequence[RunView], titles: Sequence[str], differing: Sequenc
                       for title, run in zip(titles, runs, strict=True)])
     lines = [[name, *[each[name] for each in differing]] for name in differing[0]]
     lines.append(["status", *[run.result.status for run in runs]])
-    if any(run.result.status != "ok" or "; " in run.result.sentence for run in runs):  # behind it: what ok leaves open
-        lines.append(["outcome", *[run.result.sentence for run in runs]])
+    lines.append(["outcome", *[run.result.sentence for run in runs]])
     lines += [[_name_parts(name), *[_value(run.result, name) for run in runs]] for name in names]
     lines += [[f"packets lost {way}", *[str(run.result.packets[way].lost) if way in run.result.packets else "" for run
                                         in runs]] for way in ("fwd", "bwd")
@@ -251,6 +250,5 @@ def of_parts(
              for i, (run, (k, why)) in enumerate(zip(runs, begun, strict=True))]
     head = ["part", "began by", "at", "for", "law", "knobs", "status", *[_name_parts(metric) for metric in few]]
     summary = table(head, lines, numbers=False)
-    section = of_several(runs, f"{document['scene']}, {len(runs)} parts on the page", f"folder {name}", [summary],
-                         PARTS, "part")
-    return replace(section, sentence=f"{len(runs)} parts: " + section.sentence.partition(": ")[2])
+    return of_several(runs, f"{document['scene']}, {len(runs)} parts on the page", f"folder {name}", [summary],
+                      PARTS, "part")

@@ -247,13 +247,13 @@ class Scene:
         if self.slave is not None:
             if one_port and not hasattr(laws[0], "slave"):
                 raise Refused(f"law {law_name(laws[0])} is a one-port law, which renders by itself, and the scene has "
-                              "a slave; take a law with two ends, for example law=Wave(), or leave the slave out")
+                              "a slave; take a law with two ends, such as wave, or leave the slave out")
             check_shape("law", laws[0])
             self._check_part("slave")
             return
         if not one_port and has_shape("law", laws[0]):
-            raise Refused(f"law {law_name(laws[0])} has two ends and the scene has no slave; write for example "
-                          "slave=MassDamper(mass=0.5), or take a one-port law such as law=VirtualWall(K=500.0)")
+            raise Refused(f"law {law_name(laws[0])} has two ends and the scene has no slave; take a "
+                          "one-port law such as virtual_wall, or a scene with a slave")
         check_shape("one-port law", laws[0])
         for name in ("link", "environment", "watchdog", "device_s", "scaling", "left_out_s", "deadband", "operator"):
             if getattr(self, name) is not None:
@@ -287,8 +287,8 @@ class Scene:
             return
         timeout = None if self.watchdog is None else getattr(self.watchdog, "timeout", None)
         if timeout is not None and (band.keep_alive is None or band.keep_alive >= timeout):
-            keep = "never" if band.keep_alive is None else f"after {band.keep_alive:g} s"
-            raise Refused(f"the deadband sends {keep} without a change, and the watchdog lets go after {timeout:g} s "
+            keep = "sends nothing" if band.keep_alive is None else f"sends after {band.keep_alive:g} s"
+            raise Refused(f"the deadband {keep} without a change, and the watchdog lets go after {timeout:g} s "
                           f"without a message; write for example Deadband(k={band.k:g}, keep_alive={0.2 * timeout:g})")
         if self.has_waves and isinstance(self.wave_playout, Zero):
             raise Refused("a deadband leaves gaps between the waves that it sends, and playout zero plays nothing in "

@@ -41,15 +41,16 @@ class Ending(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: str) -> Ending:
+def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: str, *, advises: bool = True) -> Ending:
     """Judge a run that came to its end, as `sentence` says; `trip`: the round trip of its link, ticks.
 
     Where nothing moves the scene any more the status goes by what is left, see `teleop.simulation.rest`; where the hand
-    moves to the end, and where there was no time for a verdict, a note says if the motion grows.
+    moves to the end, and where there was no time for a verdict, a note says if the motion grows. `advises`: the scene's
+    own bodies have moved, so an analysis of the scene says more.
     """
     scene, still = prepared.scene, prepared.still
     if still is None:
-        return Ending("ok", sentence, {}, tuple(growth(prepared, trace)))
+        return Ending("ok", sentence, {}, tuple(growth(prepared, trace, advises)))
     swung = swings(motion := places(trace), still.window)
     status = still.status(swung, trip)
     unit = position_unit(scene)
@@ -59,12 +60,13 @@ def ending(prepared: Prepared, trace: Mapping[str, Any], trip: int, sentence: st
         enough = (still.since + WINDOWS * still.least(trip)) * scene.dt_ns / 1e9
         sentence = (f"{since} {still.swing_left(swung, trip):.3g} {unit} of swing are left, but that was too short "
                     f"a time for a verdict; type --set duration={enough:g}")
-        return Ending(status, sentence, at_rest, tuple(growth(prepared, trace)))
+        return Ending(status, sentence, at_rest, tuple(growth(prepared, trace, advises)))
     if status != "ok":
         does = "keeps swinging" if status == "limit cycle" else f"swings ever more ({swung[0]:.3g} {unit} before)"
         hertz = at_rest.get("swing_frequency") or pitch(motion, still.window, scene.dt)
-        sentence = (f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} {unit} peak to peak; to see what becomes of "
-                    f"it: teleop stability {scene_arguments(scene, '--time')}")
+        sentence = f"{since} it {does}: {hertz:.3g} Hz, {swung[-1]:.3g} {unit} peak to peak"
+        if advises:
+            sentence += f"; to see what becomes of it: teleop stability {scene_arguments(scene, '--time')}"
     return Ending(status, sentence, at_rest)
 
 
@@ -73,7 +75,7 @@ def position_unit(scene: Scene) -> str:
     return labels_of(scene).unit("m") or "m or rad"
 
 
-def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
+def growth(prepared: Prepared, trace: Mapping[str, Any], advises: bool) -> list[str]:
     """The note on a run that came to its end with a motion which law and link feed, and which still grows.
 
     It is due where all of these hold:
@@ -107,8 +109,8 @@ def growth(prepared: Prepared, trace: Mapping[str, Any]) -> list[str]:
     return [GrowthNote(
         f"the motion still grows at the end: a swing of {swung[-1]:.3g} {unit} peak to peak in the last eighth of "
         f"the run and of {swung[0]:.3g} {unit} half a run before, where the hand's reference moves over {way:.3g} "
-        f"{unit}; law and link have given out {given_out:.3g} J (E_port), the hand has put in {put_in:.3g} J; to see "
-        f"whether the loop is stable: teleop stability {scene_arguments(scene)}")]
+        f"{unit}; law and link have given out {given_out:.3g} J (E_port), the hand has put in {put_in:.3g} J"
+        + (f"; to see whether the loop is stable: teleop stability {scene_arguments(scene)}" if advises else ""))]
 
 
 def _port(trace: Mapping[str, Any]) -> float:
@@ -172,11 +174,12 @@ def _file(kind: type[Any]) -> str:
 
 
 
-def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, trip: int
+def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, trip: int, *, advises: bool = True
             ) -> Ending:
     """Judge a run. `end` is None, or the positions that left the bounds; `trip`: the round trip of its link, ticks.
 
     What is not finite anywhere in the trace is a divergence, even of a run that came to its end.
+    `advises`: see `ending`.
     """
     scene = prepared.scene
     lost = {
@@ -187,9 +190,14 @@ def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, tr
         name = min(lost, key=lost.__getitem__)  # the first of several at the same tick
         return Ending("diverged", divergence(scene, lost[name], not_finite(scene.laws[0], name)))
     if end is None:
-        return ending(prepared, trace, trip, f"ran to its end, {number_of(ran, 'tick')} of {scene.dt:g} s")
+        return ending(prepared, trace, trip, ran_to_end(scene, ran), advises=advises)
     far = [name for name, xs in zip(("x_m", "x_s"), end, strict=False) if not all(abs(x) < scene.x_limit for x in xs)]
     return Ending("diverged", divergence(scene, ran - 1, f"{far[0]} passed {scene.x_limit:g} {position_unit(scene)}"))
+
+
+def ran_to_end(scene: Scene, ran: int) -> str:
+    """The sentence of a run that came to its end, after so many ticks."""
+    return f"ran to its end, {number_of(ran, 'tick')} of {scene.dt:g} s"
 
 
 def divergence(scene: Scene, k: int, what: str) -> str:

@@ -117,16 +117,16 @@ class Operator:
 
 
 def _spans(name: str, value: Any) -> Spans:
+    example = f"{name}=((2.0, 3.0),)"
     if not isinstance(value, tuple) or not all(isinstance(each, tuple) and len(each) == 2 for each in value):
-        raise Refused(f"{name} must be spans of time, (from, to) in s, not {value!r}; write for example "
-                      f"{name}=((2.0, 3.0),)")
+        raise Refused(f"{name} must be spans of time, (from, to) in s, not {value!r}; write for example {example}")
     if len(value) > MOST_SPANS:
         raise Refused(f"{name} has {number_of(len(value), 'span')}, and a schedule has {MOST_SPANS} at most; leave "
                       "some out")
     spans_found = []
     for span in value:
-        start = number(f"{name}: the beginning of a span", span[0], low=0.0, unit="s")
-        end = number(f"{name}: the end of a span", span[1], low=0.0, unit="s")
+        start = number(f"{name}: the beginning of a span", span[0], low=0.0, unit="s", example=example)
+        end = number(f"{name}: the end of a span", span[1], low=0.0, unit="s", example=example)
         if end <= start:
             raise Refused(f"{name}: the span from {start:g} s ends at {end:g} s, which is not later; give each span "
                           "its beginning first")

@@ -138,7 +138,8 @@ class Range:
     log: bool = False
 
     def __post_init__(self) -> None:
-        low, high = number("a range's first end", self.low), number("a range's other end", self.high)
+        low, high = (number(f"a range's {which} end", end, example="0:100")
+                     for which, end in (("first", self.low), ("other", self.high)))
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
         if low == high:

@@ -150,7 +150,7 @@ def _picked(key: str, value: object, values: tuple[Any, ...] | None, where: str)
     values = () if values in (None, (None,)) else values
     if isinstance(value, dict) and key != "laws":
         check_keys(value, ("from", "to"), f"{key} of {where}")
-        low, high = (number(f"{where}: {end} of {key}", value[end]) if end in value else past
+        low, high = (number(f"{where}: {end} of {key}", value[end], example=f"{end} = 1") if end in value else past
                      for end, past in (("from", -inf), ("to", inf)))
         picked = tuple(each for each in values if low <= each <= high)
     else:

@@ -135,10 +135,12 @@ def _overlap(a: Box, b: Box) -> bool:
 def literal(text: str, *, most: int = 300) -> str:
     r"""`text` as a label shows it, letter for letter: a dollar sign begins no formula, and it is not too long to place.
 
-    >>> print(literal("5 $ a$"))
-    5 \$ a\$
+    A legend leaves out a name that begins with `_`, so a space stands before that.
+
+    >>> print(literal("5 $ a$"), literal("_x"))
+    5 \$ a\$  _x
     """
-    return printable(text, most=most).replace("$", r"\$")
+    return " " * text.startswith("_") + printable(text, most=most).replace("$", r"\$")
 
 
 def save(figure: Figure, path: Path, formats: Sequence[str] = PNG) -> list[Path]:

@@ -105,7 +105,7 @@ def of_session() -> Callable[[bytes], None]:
                     assert end.force_failed is not None or all(-CAP <= f <= CAP and isfinite(f) for f in out.force)
 
     def made(scene: Any, e: str) -> tuple[Any, ...]:
-        from teleop.protocol.endpoint import Origin
+        from teleop.protocol.end_law import Origin
         from teleop.protocol.estimates import LinkEstimates
         from teleop.protocol.guard import ForceGuard
         from teleop.protocol.inbox import Inbox

@@ -143,7 +143,7 @@ def law_is_nan(both: list[Any], e: str) -> Callable[[Reading], Reading]:
 
     def act(reading: Reading) -> Reading:
         endpoint = both[0].shells[e].endpoint
-        endpoint._started = Law(endpoint._started)
+        endpoint._law._started = Law(endpoint._law._started)
         return reading
 
     return act

@@ -208,7 +208,7 @@ HANGS = {
     "locks": "threading.Lock().acquire() and [lock := threading.Lock(), lock.acquire(), lock.acquire()]",
     "in C": "m, lock = ctypes.create_string_buffer(64), ctypes.CDLL(None).pthread_mutex_lock; lock(m); lock(m)",
 }
-LAW = "sys._getframe(3).f_locals['self'].endpoint._started = Law"
+LAW = "sys._getframe(3).f_locals['self'].endpoint._law._started = Law"
 
 
 @pytest.mark.parametrize(("where", "act", "part"), [

@@ -58,7 +58,7 @@ def test_a_part_out_of_its_bounds_is_refused_with_the_unit() -> None:
         ({"K": -1}, "K must be at least 0 N/m, not -1; write for example K=0"),
         ({"share": 0.0}, "share must be above 0, not 0; write for example share=1"),
         ({"age": 0.0}, "age must be above 0 s, not 0; write for example age=1"),
-        ({"bare": float("nan")}, "bare must be finite, not nan; leave it out to use its default"),
+        ({"bare": float("nan")}, "bare must be finite, not nan; write for example bare=1"),
         ({"needed": "far"}, "needed must be a number, not 'far'; write for example needed=1"))
     for parts, sentence in given:
         with pytest.raises(Refused) as refused:

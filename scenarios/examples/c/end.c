@@ -118,8 +118,8 @@ static void out(Packet *packet, int64_t now, size_t least, const struct sockaddr
     if (size) (void)sendto(sock, data, size, 0, (const struct sockaddr *)to, sizeof *to);
 }
 
-static void say(int kind, uint64_t number, const char *why, int64_t now) { /* BYE, RENEW, START, HELLO */
-    Packet packet = {.kind = kind, .session = number};
+static void say(int kind, uint64_t number, int code, const char *why, int64_t now) { /* BYE, RENEW, START, HELLO */
+    Packet packet = {.kind = kind, .session = number, .seq = (uint32_t)code};
     if (why) packet.text = (Text){(const uint8_t *)why, strlen(why)};
     if (kind == HELLO) packet.text = manifest;
     if (kind == START) {
@@ -228,11 +228,11 @@ static void welcome(const Packet *in, int64_t now) {
     welcome_ns = in->sent_ns;
     int has = told(in->text, "@tick 0", &theirs);
     if (has && (theirs - offset_ns > now + LEAD + 3 * MOST_RTT || theirs - offset_ns < -MOST_CLOCK)) return;
-    if (rounds < ROUNDS) { say(HELLO, session, NULL, now); return; }
+    if (rounds < ROUNDS) { say(HELLO, session, NO_CODE, NULL, now); return; }
     int64_t tick_0 = has ? theirs - offset_ns : now + LEAD + 2 * rtt_ns;
     if (met && start_ns < tick_0) tick_0 = start_ns; /* the grid that is further on: ticks are never taken back */
     begin(tick_0, now, STARTING);
-    say(START, session, NULL, now);
+    say(START, session, NO_CODE, NULL, now);
 }
 
 static int adds_up(const double *new, const double *old, int64_t ticks) { /* what waves have come to: WIRE.md */
@@ -300,9 +300,9 @@ static void due(int64_t now) { /* what has to be said again, and whether the ses
         again_ns = 0;
     }
     if (now < again_ns) return;
-    if (master && state == MEETING) say(HELLO, session, NULL, now);
-    else if (state == STARTING || (master && state == OVER)) say(START, session, NULL, now);
-    else if (state == OVER && !ended) say(RENEW, session, "the session is over", now);
+    if (master && state == MEETING) say(HELLO, session, NO_CODE, NULL, now);
+    else if (state == STARTING || (master && state == OVER)) say(START, session, NO_CODE, NULL, now);
+    else if (state == OVER && !ended) say(RENEW, session, NO_CODE, "the session is over", now);
 }
 
 /* A tick: what is sent, and the force that is held until the next */
@@ -416,8 +416,9 @@ int main(int words, char **word) {
     }
     memset(answer.force, 0, sizeof answer.force);
     device_hold(answer.force);
-    if (met || master) say(BYE, session, stopped == 1 ? "finished" : "stopped", now_ns());
-    if (former && state == MEETING) say(BYE, former, "stopped", now_ns());
+    int code = stopped == 1 ? FINISHED : NO_CODE;
+    if (met || master) say(BYE, session, code, code ? "finished" : "stopped", now_ns());
+    if (former && state == MEETING) say(BYE, former, NO_CODE, "stopped", now_ns());
     printf("{\"met\": %d, \"over\": %ld, \"received\": %ld, \"sent\": %ld, \"rejected\": %ld}\n", met, sessions_over,
            received, sent, rejected);
     if (log_file) fclose(log_file);

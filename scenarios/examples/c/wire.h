@@ -5,6 +5,7 @@
 #include <stdint.h>
 
 enum { FORTH, BACK, HELLO, WELCOME, REFUSE, START, BYE, RENEW };
+enum { NO_CODE, CLUTCH, TURN, FINISHED }; /* of the reason in a RENEW or BYE, which stands in `seq` */
 enum { MOST_DATA = 1200, MOST_CONTROL = 8192, MOST_NUMBERS = 133, MOST_ENTRIES = 512, MOST_SENTENCE = 1000 };
 typedef struct { const uint8_t *at; size_t size; } Text; /* points into the datagram; not ended by a zero */
 

@@ -256,7 +256,7 @@ def _asking(make: Callable[[float], Scene], judge: Callable[[Scene], bool], tell
 
 def places_of(knob: str, low: float, high: float, places: int, whole: bool) -> list[float]:
     """The values of a range that are tried first."""
-    low, high = number("the range's low end", low), number("the range's high end", high)
+    low, high = number("low", low), number("high", high)
     if not low < high:
         raise Refused(f"the range {low:g}:{high:g} of {knob} is empty; write the lower value first, --range 1:1000")
     if not whole:

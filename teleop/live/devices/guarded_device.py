@@ -126,7 +126,8 @@ class GuardedDevice:
                 raise
             self.trouble = str(refused)
             return None
-        if not self.trusted and not self._is_sound(reading):
+        numbers = reading.v + (reading.f or ())
+        if not self.trusted and (not all(map(isfinite, numbers)) or any(map(isnan, reading.x))):
             self.trouble = "what it reads is not finite"
             return None
         has = switches_of(reading)
@@ -180,10 +181,6 @@ class GuardedDevice:
     def dead(self, now: int) -> bool:
         """True if it has failed for longer than `DEAD_NS`."""
         return self._failing_ns is not None and now - self._failing_ns > DEAD_NS
-
-    @staticmethod
-    def _is_sound(reading: Reading) -> bool:
-        return all(map(isfinite, reading.v + (reading.f or ()))) and not any(map(isnan, reading.x))
 
 
 def _sensor_of(device: LiveDevice, reading: Reading) -> bool:

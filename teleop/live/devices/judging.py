@@ -221,8 +221,7 @@ def check_sensor(motion: PushedMotion, least: float, tolerance: float) -> None:
     more than half the push is noise that hides it, and is not judged.
     """
     n = motion.pushed()
-    if not motion.f or not n or abs(_greatest(motion.by[:n])) <= least or 2.0 * tolerance > abs(
-            _greatest(motion.held)):
+    if not motion.f or not n or abs(_greatest(motion.by[:n])) <= least or 2.0 * tolerance > abs(_greatest(motion.held)):
         return
     if any(all(abs(f - sign * held) <= tolerance for f, held in zip(motion.f[late:], motion.held, strict=False))
            for sign in (1.0, -1.0) for late in range(LATEST + 1)):

@@ -37,8 +37,7 @@ class _Headers:
         self.notes = bytearray(MOST * _NOTE.size)
         self.parts = bytearray(MOST * _PART.size)
         self.headers = bytearray(MOST * _HEADER.size)
-        data, names, notes, parts, self.at = map(
-            _where, (self.data, self.names, self.notes, self.parts, self.headers))
+        data, names, notes, parts, self.at = map(_where, (self.data, self.names, self.notes, self.parts, self.headers))
         for i in range(MOST):
             _PART.pack_into(self.parts, i * _PART.size, data + i * each, each)
             _HEADER.pack_into(self.headers, i * _HEADER.size, names + i * _NAME.size, _NAME.size,

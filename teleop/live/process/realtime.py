@@ -27,6 +27,7 @@ import sys
 from argparse import Namespace
 from contextlib import suppress
 from pathlib import Path
+from threading import get_native_id
 from types import TracebackType
 from typing import NamedTuple
 
@@ -79,7 +80,7 @@ class RealTime:
             gc.collect()
             gc.freeze()
             self._limits = _bound_awake()
-            self._thread, self._interrupt.overrun = _this_thread(), self._overrun
+            self._thread, self._interrupt.overrun = get_native_id(), self._overrun
             self.granted = ask(self._priority)
             if self.granted.priority is None:
                 self._thread, self._interrupt.overrun = 0, None
@@ -191,12 +192,6 @@ def is_refused(granted: str) -> bool:
 
 def _refused(error: BaseException) -> str:
     return f"{_REFUSED}({getattr(error, 'strerror', None) or 'not on this system'})"
-
-
-def _this_thread() -> int:
-    from threading import get_native_id
-
-    return get_native_id()
 
 
 def _own_limit() -> int:

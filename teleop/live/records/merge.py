@@ -12,7 +12,7 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.live.records.end_result import NAMES, UNRELEASED, WAYS, end_result, lateness, spread_us
 from teleop.live.records.reader import FILE, check_fits, read_noted
-from teleop.live.records.record import read_events
+from teleop.live.records.record import check_one_run, read_events
 from teleop.scene.loading import stored_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.ending import Ending, ending
@@ -88,13 +88,9 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
     headers, records, ends, late = {}, {}, {}, {}
     for e, folder in folders.items():
         headers[e], records[e], late[e], _ = _noted(folder)
-        if headers[e]["end"] != e:
-            wrong = NAMES[headers[e]["end"]]
-            raise Refused(f"{folder} is of a {wrong}; give the master's folder first, then the slave's")
-    ours, theirs = headers["m"], headers["s"]
+    ours = headers["m"]
     stepped = ours["mode"] == "lockstep"  # by the clock, the seed is the channel's alone
-    if any(ours[key] != theirs[key] for key in ("scene", "knobs", "mode", *["seed"] * stepped)):
-        raise Refused(f"{master} and {slave} are not the two ends of one run; give two that ran together")
+    check_one_run(folders, headers, ("scene", "knobs", "mode", *["seed"] * stepped))
     for e, folder in folders.items():
         check_fits(scene, headers[e], records[e].ticks, folder)
         if running[e] or (any(running.values()) and needs_recovery(folder)):
@@ -103,8 +99,6 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
             ends[e] = _summary(folder, scene, e)
     events = {e: read_events(folder) for e, folder in folders.items()}
     met = [{event["why"] for event in noted if event.get("what") == "met"} for noted in events.values()]
-    if all(met) and not met[0] & met[1]:
-        raise Refused(f"{master} and {slave} never met; give two that ran together")
     firsts, lasts = [_first(noted) for noted in events.values()], [_last(record) for record in records.values()]
     span = range(max(firsts), min(lasts) + 1)
     alone = max(max(firsts) - min(firsts), max(lasts) - min(lasts)) * scene.dt > ALONE
@@ -157,8 +151,7 @@ def _in_last_session(trace: Columns, events: dict[str, list[dict[str, Any]]], sp
 
 def _met_anew(events: dict[str, list[dict[str, Any]]], span: range) -> bool:
     """True if an end met the other more than once in `span`, and not only at the begin of a part that was turned to."""
-    return any(sum(one["what"] == "met" and one["k"] in span for one in noted) > 1
-               for noted in events.values())
+    return any(sum(one["what"] == "met" and one["k"] in span for one in noted) > 1 for noted in events.values())
 
 
 def _from_time(column: Callable[[], Any], times: Callable[[], Any], t: float) -> Any:
@@ -292,9 +285,7 @@ def _killed(end: dict[str, Any]) -> bool:
     return "recovered" in end and end["status"] == "stopped"
 
 
-def _within(
-    span: range, whole: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Any
-) -> dict[str, Any]:
+def _within(span: range, whole: dict[str, Any], header: dict[str, Any], record: EndRecord, late: Any) -> dict[str, Any]:
     """Facts of an end in the ticks of `span`, from its record alone, without the sums of its whole run."""
     import numpy as np
 

@@ -8,12 +8,14 @@ tick, goes to a file beside it as it happens, one line of JSON each.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from struct import Struct
 from typing import Any, BinaryIO
 
+from teleop.errors import Refused
+from teleop.live.records.end_result import NAMES
 from teleop.live.records.inputs import InputWriter
 from teleop.live.records.reader import (
     FILE,
@@ -157,10 +159,15 @@ def read_events(folder: Path) -> list[dict[str, Any]]:
     return events
 
 
-def are_strangers(first: Path, second: Path) -> bool:
-    """True if the sessions of the two ends that wrote these folders were others, as far as their events tell."""
-    met = [{event["why"] for event in read_events(folder) if event["what"] == "met"} for folder in (first, second)]
-    return all(met) and not met[0] & met[1]
+def check_one_run(folders: Mapping[str, Path], headers: Mapping[str, Mapping[str, Any]], keys: Iterable[str]) -> None:
+    """Refuse folders of m and s that were not of one run, by these keys of their headers and by their events."""
+    for e, folder in folders.items():
+        if headers[e]["end"] != e:
+            raise Refused(f"{folder} is of a {NAMES[headers[e]['end']]}; give the master's folder first, then the "
+                          "slave's")
+    met = [{event["why"] for event in read_events(folder) if event["what"] == "met"} for folder in folders.values()]
+    if any(headers["m"][key] != headers["s"][key] for key in keys) or (all(met) and not met[0] & met[1]):
+        raise Refused(f"{folders['m']} and {folders['s']} are not the two ends of one run; give two that ran together")
 
 
 class RunFolder:

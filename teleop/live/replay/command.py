@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from teleop.errors import Refused, enumerated, number_of
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.reader import FILE, read_record
-from teleop.live.records.record import are_strangers
+from teleop.live.records.record import check_one_run
 from teleop.live.replay.rerun import Difference, EndFolder, OpenLoopForces, command_open_loop, difference, read_end
 from teleop.scene.axes import FORCE_UNIT, labels_of
 from teleop.scene.loading import load_scene, stored_scene
@@ -56,7 +56,9 @@ def command(args: Namespace) -> Answer:
         folders = _folders(Path(args.run), None if args.slave is None else Path(args.slave))
         base, scene, seed = _scenes(folders, typed, trust=args.trust)
         ends = [read_end(folder, base) for folder in folders]
-    _check_one_run(ends)
+    if len(ends) == 2:
+        check_one_run(dict(zip("ms", folders, strict=True)),
+                      dict(zip("ms", [end.header for end in ends], strict=True)), ("scene", "knobs", "mode"))
     notes = [*dict.fromkeys(str(one.message) for one in warned)]  # a record is read twice
     title = titled(scene)
     answers = command_open_loop(ends, base, scene) if typed or formats or args.out else {}
@@ -110,17 +112,6 @@ def _scenes(folders: Sequence[Path], typed: Mapping[str, str], *, trust: bool) -
     return base, load_scene(header["scene"], **{**header["knobs"], **typed}) if typed else base, header["seed"]
 
 
-def _check_one_run(ends: Sequence[EndFolder]) -> None:
-    if len(ends) == 1:
-        return
-    master, slave = ends
-    keys = ("scene", "knobs", "mode")
-    if (master.e, slave.e) != ("m", "s"):
-        raise Refused("give the master's folder first, then the slave's")
-    if any(master.header[key] != slave.header[key] for key in keys) or are_strangers(master.folder, slave.folder):
-        raise Refused(f"{master.folder} and {slave.folder} are not the two ends of one run; give two that ran together")
-
-
 def _compare(differences: Mapping[str, Difference | None], ends: Sequence[EndFolder], scene: Scene
                ) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     rows, document = [], {}
@@ -150,8 +141,7 @@ def _summarize(answers: Mapping[str, OpenLoopForces], scene: Scene, ends: int
                                f"{apart}"))
         force: dict[str, Any] = {key: finite(value) for key, value in figures._asdict().items()}
         force |= {"axis": scene.axis_names[axis], "unit": unit} if scene.axes > 1 else {}
-        document[NAMES[e]] = {"ticks": len(one.k), "force": force,
-                              "heard": "recorded" if ends == 1 else "exchanged"}
+        document[NAMES[e]] = {"ticks": len(one.k), "force": force, "heard": "recorded" if ends == 1 else "exchanged"}
     return rows, document
 
 

@@ -24,11 +24,12 @@ from teleop.live.records.end_result import NAMES
 from teleop.live.records.inputs import ArrivalTable, Inputs, flat, message_fields, read_arrivals, read_inputs
 from teleop.live.records.reader import OWN, check_fits, read_record
 from teleop.live.records.record import read_events
+from teleop.protocol.end_law import Axes, EndLaw, LawAnswer, Origin
 from teleop.protocol.inbox import Inbox
+from teleop.protocol.reception import since
 from teleop.scene.scene import Scene
 from teleop.simulation.prepared import prepare
-from teleop.simulation.source import live_of
-from teleop.simulation.structure import SENSED, columns, numbers_of, structure_of
+from teleop.simulation.structure import SENSED, structure_of
 from teleop.simulation.tick import LiveTick
 from teleop.simulation.trace import EndRecord, blocks, end_columns
 from teleop.stages.wave_integral import Integrals
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-Axes = tuple[float, ...]
 KEPT = 65536  # messages of an end that are kept, as far back as an inbox tells packets apart
 AHEAD = 64  # ticks by which arrivals are handed over before they are due, as their order is that of their coming
 
@@ -91,16 +91,6 @@ class TickInputs(NamedTuple):
 Heard = Callable[[TickInputs, bool], tuple[float, Any, Any] | None]
 
 
-class TickOutputs(NamedTuple):
-    """Outputs of an end at one tick: the force (N, per axis), its message by axis, its row."""
-
-    k: int
-    force: Axes
-    tx: tuple[Any, ...]
-    sent: tuple[Any, ...] | None  # what its waves have come to, where that is sent along
-    row: Axes
-
-
 def tick_inputs(end: EndFolder) -> Iterator[tuple[TickInputs, list[float]]]:
     """Inputs of the end, tick by tick, and its outputs: force and message as numbers."""
     at, rows = end.inputs.places, end.inputs.rows
@@ -125,20 +115,15 @@ class Rerun:
     def __init__(self, end: EndFolder, scene: Scene, touch: NDArray[np.float64] | None = None) -> None:
         """`touch`: the external force at each row (N, per axis) where the device sensed none and the law reads one."""
         e, every = end.e, end.inputs.every
-        self.e, self._every, self._touch, self._at = e, every, touch, 0
-        self._scene = replace(scene, dt=scene.dt * every) if every != 1 else scene
-        self.sensor = end.inputs.sensor or touch is not None
-        self._live = live_of(self._scene, e, self.sensor)
-        forth, back = messages(scene.laws[0], self._scene.dt_ns / 1e9)
+        self._every, self._touch, self._at = every, touch, 0
+        self._axes, self._origin = scene.axes, Origin(scene, e)
+        at_rate = replace(scene, dt=scene.dt * every) if every != 1 else scene
+        self._law = EndLaw(at_rate, e, end.inputs.sensor or touch is not None, self._origin)
+        forth, back = messages(scene.laws[0], at_rate.dt_ns / 1e9)
         self._kind = back if e == "m" else forth
-        names = columns(scene, e, self.sensor)
-        flat = [name for name in names for _ in range(scene.axes if "@" in name else 1)]
-        self.columns = [name.removesuffix("@") for name in flat]
-        self._places = [i for i, name in enumerate(flat) if name in (f"x_{e}@", f"q_{e}@")]
         self._session = 0
-        self._started: Any = None  # the generator of its session
 
-    def tick(self, inputs: TickInputs, heard: Heard | None = None) -> TickOutputs:
+    def tick(self, inputs: TickInputs, heard: Heard | None = None) -> LawAnswer:
         """Run one tick. `heard`: what it plays then in place of the message in its record."""
         touch = inputs.f_ext
         if self._touch is not None:
@@ -147,10 +132,7 @@ class Rerun:
         begins = inputs.session != self._session
         if begins:
             self._session = inputs.session
-            begins_with = numbers_of(self._scene, {self.e: inputs.x})
-            dt = self._scene.dt_ns / 1e9
-            self._started = self._live(begins_with, self._scene.law, dt, inputs.x, inputs.v, touch)
-            next(self._started)
+            self._law.begin(inputs.x, inputs.v, touch)
         if heard is None:
             got, newest, rx, waves = inputs.fresh, inputs.newest, None, None
             if got:
@@ -158,23 +140,15 @@ class Rerun:
         else:
             played = heard(inputs, begins)
             got, newest, rx, waves = (False, -1, None, None) if played is None else (True, *played)
-        force, tx, sent, row = self._started.send(LiveTick(
+        self._origin.at = inputs.origin
+        return self._law.answer(LiveTick(
             inputs.k // self._every, inputs.x, inputs.v, touch, got, newest, rx, waves, inputs.gain, inputs.f_held,
             inputs.since, *inputs.switches))
-        if inputs.origin is not None:
-            row = self._physical(row, inputs.origin)
-        return TickOutputs(inputs.k, force, tx, sent, row)
 
     def _by_axis(self, kind: Any, numbers: Axes) -> tuple[Any, ...] | None:
         """A message of each axis out of its numbers; None where none is sent along."""
         n = len(kind._fields)
-        return tuple([kind(*numbers[i * n : i * n + n]) for i in range(self._scene.axes)]) if numbers or not n else None
-
-    def _physical(self, row: Axes, index: Axes) -> Axes:
-        out = list(row)
-        for n, i in enumerate(self._places):
-            out[i] += index[n % len(index)]
-        return tuple(out)
+        return tuple([kind(*numbers[i * n : i * n + n]) for i in range(self._axes)]) if numbers or not n else None
 
 
 class Difference(NamedTuple):
@@ -202,8 +176,8 @@ def difference(end: EndFolder, scene: Scene) -> Difference | None:
         if one.k != ticks[i]:
             raise Refused(f"{end.folder} has tick {int(ticks[i])} in its record and tick {one.k} in what it was told; "
                           "its files are of two runs: give the folder as the end wrote it")
-        got = rerun.tick(one)
-        replayed = (*got.force, *flat(got.tx), *flat(got.sent or ()), *got.row)
+        force, tx, sent, answered_row = rerun.tick(one)
+        replayed = (*force, *flat(tx), *flat(sent or ()), *answered_row)
         recorded = (*answered, *rows[i - row])
         form = f"<{len(fields)}d"
         if pack(form, *replayed) != pack(form, *recorded):
@@ -243,13 +217,13 @@ def command_open_loop(ends: Sequence[EndFolder], base: Scene, scene: Scene) -> d
     while waiting:
         e = min(waiting, key=lambda e: (waiting[e][0].k, e))
         one, answered = waiting.pop(e)
-        got = reruns[e].tick(one, None if exchange is None else partial(exchange.play, e))
+        force, tx, sent, _ = reruns[e].tick(one, None if exchange is None else partial(exchange.play, e))
         if exchange is not None:
-            exchange.send(e, one.k, (got.tx, got.sent))
+            exchange.send(e, one.k, (tx, sent))
         ticks, was, now = forces[e]
         ticks.append(one.k)
         was.extend(answered[: scene.axes])
-        now.extend(got.force)
+        now.extend(force)
         if (following := next(sources[e], None)) is not None:
             waiting[e] = following
     return {e: OpenLoopForces(np.array(k, np.int64), np.array(was, float).reshape(-1, scene.axes),
@@ -306,12 +280,6 @@ class Exchange:
         if waves is not None and (inputs.session > 1 or e in self._joined):
             waves = since(self._before.setdefault(e, waves), waves)
         return packet, tx, waves
-
-
-def since(before: tuple[Integrals, ...], waves: tuple[Integrals, ...]) -> tuple[Integrals, ...]:
-    """Integrals of waves since `before`, per axis."""
-    return tuple([Integrals(*[now - then for now, then in zip(each, one, strict=True)])
-                  for each, one in zip(waves, before, strict=True)])
 
 
 def _check_same_messages(end: EndFolder, base: Scene, scene: Scene) -> None:

@@ -11,10 +11,14 @@ under way when the keys changed. The one in use goes on until the coming one is 
 the pinned certificate can end it; a peer that was killed and restarted, at either end, is met again by itself.
 
 The end that calls hears a handshake from the address that it called. Hosts with several addresses answer from any of
-them, so where the one that was called does not answer for `AGAIN_NS` longer than another, that one is heard. An answer
-bears the number of the hello, which is drawn at random for that: who does not see what this end sends has 2**47 to
-guess from, and who does see it comes into a handshake from the called address alone, or where that is silent. The
+them, so where the one that was called does not answer for `ELSEWHERE_NS` longer than another, that one is heard. An
+answer bears the number of the hello, which is drawn at random for that: who does not see what this end sends has 2**47
+to guess from, and who does see it comes into a handshake from the called address alone, or where that is silent. The
 certificate decides who it is.
+
+`ELSEWHERE_NS` has to be above the round trip to the peer: an observer that answers a hello from near by would be heard
+before the peer, and a handshake that begins with it is only given up after `STUCK_NS`. A satellite takes 0.6 s there
+and back. A host that answers from another address than the called one is met as much later, once.
 
 Where the peer is, the handshake says first: the end that calls sends to where its flights were answered from, the one
 that listens to the address that its cookie was for. Another address is validated before it takes that one's place, by
@@ -39,7 +43,7 @@ from __future__ import annotations
 from collections import Counter
 from os import urandom
 
-from teleop.protocol.secure.association import AGAIN_NS, ANSWER, CHALLENGE, LIMIT_NS, Association
+from teleop.protocol.secure.association import ANSWER, CHALLENGE, LIMIT_NS, Association
 from teleop.protocol.secure.context import first_number
 from teleop.protocol.secure.dtls_record import Dropped, records
 from teleop.protocol.secure.gate import Gate, Where, is_for_gate
@@ -133,6 +137,7 @@ class PathValidation:
 
 
 SILENT_NS = 500_000_000  # nothing was opened for so long: the end that calls begins anew, beside what there is
+ELSEWHERE_NS = 750_000_000  # an answer from elsewhere than from the called address waits so long for one from there
 STUCK_NS = 2_000_000_000  # a handshake without an answer for so long is with a peer that is no more
 APART_NS = 1_000_000_000  # between two that it begins
 _MOST_HELLOS = 256  # more than are sent in one handshake
@@ -305,7 +310,7 @@ class SecureLink:
         """True if the handshake under way is heard from there."""
         if address == self._coming_at or self._elsewhere is None or self._direct:
             return address == self._coming_at
-        return address in self._coming_from and now - self._elsewhere > AGAIN_NS
+        return address in self._coming_from and now - self._elsewhere > ELSEWHERE_NS
 
     def _change(self, now: int) -> None:
         """The coming association is the one in use from now on."""

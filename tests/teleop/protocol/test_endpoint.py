@@ -264,7 +264,8 @@ def test_replayed_packets_change_nothing(ago: int, playout: Any) -> None:
     assert again.sent == plain.sent
     for e in "ms":
         one, other = plain.ends[e], again.ends[e]
-        assert (other.way.count, other.way.least, other.way.most) == (one.way.count, one.way.least, one.way.most)
+        there, here = other.link.way, one.link.way
+        assert (there.count, there.least, there.most) == (here.count, here.least, here.most)
         assert other.link.rtt.most == one.link.rtt.most
         inbox: Any = other.inbox
         assert (inbox.received, inbox.duplicates) == (quiet.ticks - 1, quiet.ticks - ago)
@@ -354,7 +355,7 @@ def test_holding_waves_shows_in_the_stamps() -> None:
 def test_delays_round_trips_and_sizes_are_seen_as_they_are() -> None:
     ways = Link(fwd=parse_link("delay(0.03)"), bwd=parse_link("delay(0.0105)"))  # type: ignore[arg-type]
     both = Both(scene(link=ways, packet_size=222)).run()
-    forth, back, rtt = both.ends["s"].way, both.ends["m"].way, both.ends["m"].link.rtt
+    forth, back, rtt = both.ends["s"].link.way, both.ends["m"].link.way, both.ends["m"].link.rtt
     assert (forth.least, forth.most) == (30 * MS, 30 * MS)
     assert (back.least, back.most, back.recent) == (11 * MS, 11 * MS, 11 * MS)
     assert (rtt.least, rtt.most) == (41 * MS, 41 * MS)  # what the other held it for is taken off

@@ -75,8 +75,8 @@ def test_a_run_past_2_32_is_the_run_before_it(law: Any, playout: Any) -> None:
         assert max(plain.played[e][205:]) > 205
         assert (one.received, one.link.lost(), one.link.reordered) == (
             other.received, other.link.lost(), other.link.reordered)
-        assert (one.way.least, one.way.most, one.link.rtt.most) == (
-            other.way.least, other.way.most, other.link.rtt.most)
+        assert (one.link.way.least, one.link.way.most, one.link.rtt.most) == (
+            other.link.way.least, other.link.way.most, other.link.rtt.most)
         assert one.guard.entries == other.guard.entries == 2  # it joined, and the link was dark for 70 ticks
         assert [event.k - 10_000 for event in one.guard.events] == [event.k - WRAP for event in other.guard.events]
 

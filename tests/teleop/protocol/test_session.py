@@ -314,10 +314,11 @@ def test_a_welcome_that_answers_no_hello_is_no_measurement() -> None:
 def test_a_farewell_reaches_the_other_end_with_its_reason() -> None:
     talk = Talk().run(2000 * MS)
     talk.send(talk.slave, talk.slave.bye("it was asked to stop (SIGINT)", talk.now))
-    talk.send(talk.master, talk.master.bye("finished", talk.now))
+    talk.send(talk.master, talk.master.bye(None, talk.now))
     talk.run(2100 * MS)
     assert talk.master.farewell == "it was asked to stop (SIGINT)"
     assert talk.slave.farewell == "finished"
+    assert (talk.master.left, talk.slave.left) == (True, False)
 
 
 def test_a_tick_0_that_is_further_ahead_than_any_master_sets_it_is_not_taken() -> None:

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from teleop.protocol import states
 from teleop.protocol.estimates import LEAD_NS, ROUNDS
 from teleop.protocol.manifest import EVERY, MOST_EVERY, TICK_0
-from teleop.protocol.packet import MOST_CONTROL, Echo, Kind, Packet, decode, encode
-from teleop.protocol.session import AGAIN_NS, CLUTCH, FIRST_NS, RENEW_NS, REPEATED, TURN, Session
+from teleop.protocol.packet import MOST_CONTROL, Code, Echo, Kind, Packet, decode, encode
+from teleop.protocol.session import AGAIN_NS, FIRST_NS, RENEW_NS, REPEATED, Session
 from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, Cause, SessionEvent, SessionState, Table
+from tests.teleop.protocol.diagrams import diagrams
 from tests.teleop.protocol.ends import packet_in
 from tests.teleop.protocol.test_session import MANIFEST, MS, Talk, hello, start_of, started
 
@@ -331,7 +332,7 @@ def test_ends_that_are_turned_one_after_the_other_meet_again_when_both_are(first
     other = "slave" if first == "master" else "master"
     for end, until in ((first, 5000), (other, 8000)):
         session = getattr(talk, end)
-        session.end(TURN, Cause.ORDERED)
+        session.end(Code.TURN)
         session.manifest = {**MANIFEST, "law": "another"}
         talk.run(until * MS)
         assert (talk.master.met, talk.slave.met) == ((1, 1) if end == first else (2, 2))
@@ -340,13 +341,29 @@ def test_ends_that_are_turned_one_after_the_other_meet_again_when_both_are(first
     assert talk.master.number == talk.slave.number
 
 
-@pytest.mark.parametrize("why", [TURN, CLUTCH])
-def test_an_order_to_the_slave_was_told_to_the_master_in_words_alone(why: str) -> None:
+@pytest.mark.parametrize("why", [Code.TURN, Code.CLUTCH])
+def test_an_order_to_the_slave_was_told_to_the_master_in_words_alone(why: Code) -> None:
     talk = Talk().run(2000 * MS)
-    talk.slave.end(why, Cause.ORDERED)
+    talk.slave.end(why)
     while talk.master.ended is None:
         talk.run(talk.now + 10 * MS)
-    assert talk.master.ended == (Cause.ORDERED, f"the session is over: {why}")
+    assert talk.master.ended == (Cause.ORDERED, f"the session is over: {why.sentence}")
+
+
+def test_a_reason_is_known_by_its_code_and_by_its_sentence_where_an_older_end_sends_none() -> None:
+    for code, sentence, cause in (
+            (Code.CLUTCH, "words of another release", Cause.ORDERED), (Code.NONE, "the clutch is open", Cause.ORDERED),
+            (Code.NONE, "a turn", Cause.ORDERED), (Code.NONE, "nothing came for 1 s", Cause.SESSION_OVER),
+            (99, "a reason that is not known here", Cause.SESSION_OVER)):
+        master = Talk().run(2000 * MS).master
+        master.receive(Packet(Kind.RENEW, master.number or 0, code, 0, None, sentence), 2000 * MS)
+        assert master.ended == (cause, f"the session is over: {sentence}")
+    for code, sentence, left in (
+            (Code.FINISHED, "words of another release", False), (Code.NONE, "finished", False),
+            (Code.NONE, "the bus is gone", True), (99, "finished", True)):
+        slave = Talk().run(2000 * MS).slave
+        slave.receive(Packet(Kind.BYE, slave.number or 0, code, 0, None, sentence), 2000 * MS)
+        assert (slave.farewell, slave.left) == (sentence, left)
 
 
 @pytest.mark.parametrize("holds", ["master", "slave"])
@@ -354,7 +371,7 @@ def test_no_session_follows_while_either_end_may_not_renew_it(holds: str) -> Non
     talk = Talk().run(2000 * MS)
     getattr(talk, holds).renews = False
     for end in (talk.master, talk.slave):
-        end.end(CLUTCH, Cause.ORDERED)
+        end.end(Code.CLUTCH)
     talk.run(9000 * MS)
     assert (talk.master.met, talk.slave.met) == (1, 1)
     getattr(talk, holds).renews = True
@@ -378,7 +395,7 @@ def reached(table: Table, first: SessionState) -> set[SessionState]:
 
 def test_the_diagrams_of_the_readme_are_those_of_the_tables() -> None:
     text = (Path(states.__file__).parent / "README.md").read_text()
-    assert states.diagrams() in text, "write what `python -m teleop.protocol.states` prints into the README"
+    assert diagrams() in text, "write what `python -m tests.teleop.protocol.diagrams` prints into the README"
 
 
 def test_every_state_of_a_table_can_be_reached_and_all_but_a_refusal_be_left() -> None:

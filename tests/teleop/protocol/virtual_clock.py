@@ -113,7 +113,7 @@ class Process:
         """Do what is due."""
         session, now = self.end.session, self.now()
         self.take_in(DRAIN if self.ticking else 10**9)
-        if session.failure is not None or session.farewell not in (None, "finished"):
+        if session.failure is not None or session.left:
             self.over = True
             self.world.devices[self.e].hold((0.0,))
             return

@@ -92,7 +92,7 @@ def test_raven_one_huge_sequence_number_does_not_block_what_follows(playout: Any
         assert both.rows == honest.rows
         for e in "ms":
             assert dict(both.ends[e].rejected) == {cause: 2}
-            assert both.ends[e].way.count == honest.ends[e].way.count
+            assert both.ends[e].link.way.count == honest.ends[e].link.way.count
 
 
 def test_raven_one_huge_sequence_number_does_not_block_a_stepped_end() -> None:
@@ -141,7 +141,7 @@ def test_a_second_master_takes_nothing_over_and_moves_nothing_of_a_run(session: 
 def test_what_is_held_up_for_good_is_played_late_and_shows_in_the_delays() -> None:
     """Newest wins sets no bound to a message's age: a delay that lasts is a longer link, not a silence."""
     both = handed_on(lambda _e, k, datagram: [(10 if k < 100 else 110, datagram)])
-    way = both.ends["s"].way
+    way = both.ends["s"].link.way
     assert (way.least, way.most) == (10 * MS, 110 * MS)
     assert both.played["s"][-1] == WATCHED.ticks - 1 - 110
 
@@ -251,7 +251,7 @@ def test_without_keys_numbers_that_climb_are_believed_no_further_than_a_timeout_
     both = Both(WATCHED, intruder=lambda k, _both: climb if k == 50 else []).run()
     assert both.rows == plain.rows
     assert dict(both.ends["s"].rejected) == {"early": 5}
-    assert both.ends["s"].way.count == plain.ends["s"].way.count
+    assert both.ends["s"].link.way.count == plain.ends["s"].link.way.count
 
 
 def test_without_keys_a_stranger_who_starts_a_session_has_the_slave_as_long_as_he_sends_messages() -> None:
