@@ -4,6 +4,8 @@
 line, and the aim. A line that no bench measures names its command, with the figure of the last run.
 """
 
+from __future__ import annotations
+
 import re
 import sys
 from argparse import ArgumentParser

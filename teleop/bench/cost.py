@@ -13,6 +13,8 @@ They are functions of the tree that `PYTHONPATH` names, so that two trees can be
 out.
 """
 
+from __future__ import annotations
+
 import asyncio
 import gc
 import json

@@ -3,6 +3,8 @@
 Processor time of this process alone.
 """
 
+from __future__ import annotations
+
 import socket
 import subprocess
 import sys

@@ -10,6 +10,8 @@ measured is what the datagrams cost, not what it costs to share a machine with t
 refuses, they run as all do. Where less was thrown than asked, the row says how much.
 """
 
+from __future__ import annotations
+
 import json
 import subprocess
 import sys

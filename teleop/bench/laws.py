@@ -10,6 +10,8 @@ every playout plays the same waves, and over jitter and loss.
 Only the processor's time is counted, of each law or playout in turns, and the least of all rounds.
 """
 
+from __future__ import annotations
+
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace

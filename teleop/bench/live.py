@@ -4,6 +4,8 @@ The C loop runs at the same time and is scheduled as the ends are. With `busy` a
 core meanwhile, scheduled as all programs are, and each round has a second run, without real-time scheduling.
 """
 
+from __future__ import annotations
+
 import json
 import os
 import subprocess

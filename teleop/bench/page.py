@@ -4,6 +4,8 @@ Rounds of both, one after the other. The page is looked at by a client that drag
 rows and its orders, without the drawing.
 """
 
+from __future__ import annotations
+
 import json
 import math
 import os

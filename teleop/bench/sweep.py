@@ -13,6 +13,8 @@ table. That part is a row's time in a sweep less the kernel's, both measured in 
 so short that most of their time goes into preparing each of them, the look-up of the law included.
 """
 
+from __future__ import annotations
+
 import ctypes
 import shutil
 import subprocess

@@ -8,6 +8,8 @@ C program, which takes the kernel's stamps.
 The same words make `c/timing.c` do the same in C; both print median and 99 %, us.
 """
 
+from __future__ import annotations
+
 import asyncio
 import json
 import os

@@ -8,6 +8,8 @@ Times are of the processor, so that others at work there count less; the rows of
 other.
 """
 
+from __future__ import annotations
+
 import resource
 import subprocess
 import sys

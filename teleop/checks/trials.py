@@ -4,6 +4,8 @@ The hands, walls and links are written out here, on `teleop.physics` alone: `tel
 `slave` nor `channel`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import inf, sin

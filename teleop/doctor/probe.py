@@ -4,6 +4,8 @@ The timer and the loop are those of an end, without its work: first as all proce
 scheduling where the system gives it. The datagrams go over loopback, through the sockets of an end.
 """
 
+from __future__ import annotations
+
 import asyncio
 import json
 import socket

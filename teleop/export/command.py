@@ -1,5 +1,7 @@
 """Commands `teleop export` and `teleop stream`."""
 
+from __future__ import annotations
+
 import os
 import sys
 from argparse import Namespace

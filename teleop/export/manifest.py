@@ -3,6 +3,8 @@
 The entries on which the ends have to agree, the numbers of a message in their places, and examples as bytes.
 """
 
+from __future__ import annotations
+
 import inspect
 import re
 from argparse import Namespace

@@ -8,6 +8,8 @@ A document (`summary.json`, the header of a live record) has the keys `axis_name
 gives its axes names or units; without them the axes are called as in `axis_names`, and are in m.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple

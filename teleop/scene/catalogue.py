@@ -3,6 +3,8 @@
 The devices that there are stand in `teleop.naming`, so that a live end finds one without this file.
 """
 
+from __future__ import annotations
+
 import ast
 import re
 from collections.abc import Collection, Mapping, Sequence

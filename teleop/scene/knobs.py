@@ -4,6 +4,8 @@ Knobs that every scene takes beside its own are `COMMON`: each replaces a part o
 Where a scene has a knob of the same name, that one is set.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass, replace
 from functools import lru_cache, partial

@@ -5,6 +5,8 @@ from the name and the knobs in the folder. A scene or a law in a file of its own
 names a file has this machine read it: all of these only for a reader who trusts the folder.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import UnionType

@@ -9,6 +9,8 @@ What is played in a gap, and of a wave at every tick, is the choice among `Zero`
 `Scaled`; the last three are for laws with waves (`teleop.kind`), and are `Zero` for any other law.
 """
 
+from __future__ import annotations
+
 from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
 

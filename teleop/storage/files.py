@@ -5,6 +5,8 @@ What is written never goes through a link: it is made under a new name in the sa
 old file, or of the link, by a rename.
 """
 
+from __future__ import annotations
+
 import errno
 import os
 import stat

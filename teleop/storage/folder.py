@@ -4,6 +4,8 @@
 by a sweep. A folder is removed again only by the process that made it.
 """
 
+from __future__ import annotations
+
 import os
 import shutil
 from collections.abc import Iterator

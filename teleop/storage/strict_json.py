@@ -4,6 +4,8 @@ A check is called with a value and with what that value is called; it raises `Mi
 Checks are put together from smaller ones: `record({"k": whole(low=0)})` asks for an object with a whole number k.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Callable, Mapping
 from math import isfinite

@@ -1,5 +1,7 @@
 """Files of TOML that ask for rows: read whole, and checked key by key. Whatever is wrong raises `Refused`."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar

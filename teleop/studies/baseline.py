@@ -8,6 +8,8 @@ A law may track well because its drag keeps the hand off the wall: the force on 
 baseline's. One that hardly reflects the wall lets the hand press harder than the baseline does.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 from math import sqrt
 from typing import NamedTuple

@@ -17,6 +17,8 @@ stable, and no gain is to spare. A margin is no proof either: chattering at a wa
 it, for which there is `status`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf, nan

@@ -4,6 +4,8 @@ A row's result depends on its own knobs and seed alone, whatever stands beside i
 of their structure, their schedules and the path of their hand, is made once (`teleop.sweeps.rows`).
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from numbers import Real

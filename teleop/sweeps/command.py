@@ -1,5 +1,7 @@
 """The command `teleop sweep`: run a grid of rows, show its progress, and leave a folder that can go on."""
 
+from __future__ import annotations
+
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Collection, Mapping, Sequence

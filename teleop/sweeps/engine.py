@@ -4,6 +4,8 @@ An engine is chosen once for a sweep (`choose`). A structure of scene that it ha
 engine behind it, row by row the same bits: vector to scalar, scalar to plain.
 """
 
+from __future__ import annotations
+
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import replace

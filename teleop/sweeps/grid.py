@@ -4,6 +4,8 @@ A grid is made of axes, crossed with one another and with the seeds; an axis tur
 (zipped). Rows are numbered in the order of `itertools.product`, the seeds fastest and then the last axis.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass

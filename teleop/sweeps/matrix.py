@@ -1,5 +1,7 @@
 """The delay-scenario test matrix run, a sweep for each block, and told: what ended as expected, and what did not."""
 
+from __future__ import annotations
+
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping

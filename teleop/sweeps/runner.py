@@ -1,5 +1,7 @@
 """Sweeps: a grid of knobs and seeds over one scene, in chunks, by any executor."""
 
+from __future__ import annotations
+
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

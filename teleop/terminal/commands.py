@@ -1,5 +1,7 @@
 """The command line: commands, their options and their help."""
 
+from __future__ import annotations
+
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 

@@ -1,5 +1,7 @@
 """The command `teleop list`: everything that has a name, with its knobs, for a person and as JSON."""
 
+from __future__ import annotations
+
 import re
 from argparse import Namespace
 from collections.abc import Callable, Mapping

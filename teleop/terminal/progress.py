@@ -1,5 +1,7 @@
 """The line in a terminal that shows how far a command has come."""
 
+from __future__ import annotations
+
 import sys
 from argparse import Namespace
 from collections import deque

@@ -1,5 +1,7 @@
 """The commands `teleop run` and `teleop show`, and the answer of every command on a run."""
 
+from __future__ import annotations
+
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import replace

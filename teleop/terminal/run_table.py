@@ -1,5 +1,7 @@
 """The table of a run, as a person reads it in a terminal."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any

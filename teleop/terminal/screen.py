@@ -8,6 +8,8 @@ of 2.2 at least, on a light ground and on a dark one; yellow, blue and cyan fall
 colour says what the words do not.
 """
 
+from __future__ import annotations
+
 import os
 import re
 from typing import TextIO

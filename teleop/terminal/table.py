@@ -1,5 +1,7 @@
 """Aligned text: labelled facts, and tables with columns."""
 
+from __future__ import annotations
+
 import re
 import textwrap
 from collections.abc import Collection, Iterable, Sequence

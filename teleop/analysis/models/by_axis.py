@@ -4,6 +4,8 @@ Axes touch each other only through a law that sums over them (`master_sums`, `sl
 scene is that of each axis beside the others: its roots are theirs together.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any, NamedTuple
 

@@ -7,6 +7,8 @@ keeps samples in its state, or names the tick before (`f_held`, `dx`), has no su
 becomes `f_h_hat' = L (f_h - f_h_hat)`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from heapq import merge
 from itertools import count, islice

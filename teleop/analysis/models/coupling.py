@@ -36,6 +36,8 @@ Without a coupling the same question has no answer: an E that lacks alpha may be
 needs K T/2. There only a known E can be asked: `sampled.needed_damping`.
 """
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import numpy as np

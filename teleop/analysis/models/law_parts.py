@@ -2,6 +2,8 @@
 damping of the device at each frequency.
 """
 
+from __future__ import annotations
+
 from dataclasses import fields, is_dataclass, replace
 from math import pi
 from typing import Any, NamedTuple

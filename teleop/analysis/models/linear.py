@@ -11,6 +11,8 @@ that is kept beside the matrices as a number, since as a state it would be as lo
 Constant forces and places of rest drop out: stability is that of the motion about them.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import repeat

@@ -22,6 +22,8 @@ agree. The curve passes them on the far side, and they are counted by themselves
 end has poles there of its own: those may be double, and rounding then parts them by 1e-8.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,6 +4,8 @@ Both are found with the root count of `loop`, so that the answer is certified by
 circle at any smaller gain that was tried, none at the round trip one tick below the critical one.
 """
 
+from __future__ import annotations
+
 from math import exp, floor, log, pi
 
 import numpy as np

@@ -7,6 +7,8 @@ affine near there. A force that is renewed every n-th tick makes the loop period
 of n ticks (Floquet).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import exp, log

@@ -1,5 +1,7 @@
 """The greatest value of a function of frequency on (0, pi] rad per sample."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from math import pi
 from typing import Any, NamedTuple

@@ -20,6 +20,8 @@ stricter limit would tell where the edges are and not how stiff the wall may be.
 of no account here: `QUIET` is far below it.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 

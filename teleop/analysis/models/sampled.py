@@ -29,6 +29,8 @@ H takes only n values on the w_l, at th_i = (nwT + 2 pi i)/n, and sum T^2/(w_l T
 T^2/|1 - e^(-j th_i)|^2, so all sums have n terms. For n = 1 both vectors are parallel and the first formula is left.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from math import pi
 from typing import Any, NamedTuple

@@ -1,5 +1,7 @@
 """A two-port over a range of frequencies: where Llewellyn's criterion fails, what is felt of what is touched."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from math import pi
 from typing import NamedTuple

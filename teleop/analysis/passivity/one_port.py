@@ -29,6 +29,8 @@ steps make, Coulomb friction does.
 - A passivity controller's held damping makes energy of its own; nothing is claimed of it.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from math import isfinite, pi
 from typing import Any, NamedTuple

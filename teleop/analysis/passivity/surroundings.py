@@ -1,5 +1,7 @@
 """Surroundings of a two-port: the link's delays within it, and the impedance that its slave touches."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any
 

@@ -26,6 +26,8 @@ for the slave's own motion under the held force is sampled exactly. What a hand 
 not in it, so the sampled criterion is one for slow terminations, and no bound near half the rate.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 from math import pi
 from typing import Any, NamedTuple

@@ -1,5 +1,7 @@
 """Solvers of scipy's as contenders: `solve_ivp` over each tick, the wall's force in the right-hand side, no events."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec

@@ -6,6 +6,8 @@ the slave's position and the largest error of the force on the environment; both
 rounds in which the methods take turns.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite, log10

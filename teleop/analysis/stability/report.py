@@ -1,5 +1,7 @@
 """Output of `teleop stability`: the command line's questions put, and the result as a table and as JSON."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from itertools import pairwise

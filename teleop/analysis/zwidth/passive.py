@@ -37,6 +37,8 @@ Behind a virtual coupling the tool may meet any passive environment; the polygon
 (`teleop.analysis.models.coupling`, from which the formula is: quadratic over linear, so again convex).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

@@ -13,6 +13,8 @@ All are measured in turn in the same rounds, each the best of three; a ratio is 
 compiling are never counted. Ours works out the energy ledgers besides, the rivals do not.
 """
 
+from __future__ import annotations
+
 from statistics import median
 
 from teleop.bench.rivals import control, jitcdde, numpy_batch

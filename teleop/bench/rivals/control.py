@@ -6,6 +6,8 @@ delays are lines of past waves in the block's state. The bodies move by this pac
 measured is that library's loop at least, and little of what a user would have to write for contact.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from math import sqrt
 from typing import Any

@@ -18,6 +18,8 @@ x_d' = v_d, and with u = sqrt(2b) v_m - w,
     f_m = b v_m - sqrt(2b) w(t - T)
 """
 
+from __future__ import annotations
+
 import logging
 import warnings
 from collections.abc import Callable, Iterator

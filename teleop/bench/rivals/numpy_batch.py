@@ -12,6 +12,8 @@ surface, inwards. The wall pushes back with `g = k p + d v` where p and g are bo
 `teleop.physics.contact`; a row is *touching* or not, and either is linear.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from math import sqrt
 from typing import Any, NamedTuple

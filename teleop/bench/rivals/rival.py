@@ -1,5 +1,7 @@
 """Parts common to the rivals, and our own engine beside them."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple

@@ -8,6 +8,8 @@ further delay, of the factors that are tried, up to which the same gains keep al
 for them, as nobody does while a robot moves.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt

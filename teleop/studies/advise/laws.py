@@ -6,6 +6,8 @@ The folder's `sweep.json` holds the request and `rows.jsonl` each point that was
 whenever it is run, so one that goes on is done again with the scores of the folder.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec

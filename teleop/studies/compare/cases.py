@@ -26,6 +26,8 @@ A case has a row for each seed, and a single one where the link has no dice: the
 rows are checked before any is run.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path

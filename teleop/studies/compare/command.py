@@ -10,6 +10,8 @@ law that met free space with other parameters than the wall would not be one law
 as it is.
 """
 
+from __future__ import annotations
+
 import csv
 import sys
 from argparse import Namespace

@@ -6,6 +6,8 @@ its figures by failing where it is hard. The value of a law is the mean over the
 range: two laws tie where their difference is no more than the greater of the two spreads, or than one percent.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

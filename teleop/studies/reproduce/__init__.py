@@ -3,6 +3,8 @@
 Each publication is a module of this room with a `PUBLICATION`; `PUBLICATIONS` lists them in the order of the table.
 """
 
+from __future__ import annotations
+
 from importlib import import_module
 
 from teleop.errors import Refused, nearest

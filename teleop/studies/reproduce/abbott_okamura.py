@@ -1,5 +1,7 @@
 """Abbott and Okamura 2005: the stiffness that an encoder, a sampling rate, damping and friction allow."""
 
+from __future__ import annotations
+
 from teleop.analysis.passivity.one_port import one_port
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall
 

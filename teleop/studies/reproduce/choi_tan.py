@@ -1,5 +1,7 @@
 """Choi and Tan 2004: the greatest stiffness at which a virtual texture feels clean, over the update rate."""
 
+from __future__ import annotations
+
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication
 
 SLOW, FAST = "0.325", "0.904"  # N/mm, at 250 Hz and at 40 kHz

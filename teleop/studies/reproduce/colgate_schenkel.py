@@ -1,5 +1,7 @@
 """Colgate and Schenkel 1997: the damping that a sampled virtual wall needs of its device."""
 
+from __future__ import annotations
+
 from teleop.analysis.passivity.one_port import one_port
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall
 

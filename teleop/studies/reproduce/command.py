@@ -1,5 +1,7 @@
 """The command `teleop reproduce`: rerun published numbers, and show them beside the results here."""
 
+from __future__ import annotations
+
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from functools import partial

@@ -1,5 +1,7 @@
 """P+d: the damping that a delayed spring asks for, and a weaker form of its condition that is in circulation."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 from teleop.analysis.stability.assess import critical, stability

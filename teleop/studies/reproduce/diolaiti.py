@@ -1,5 +1,7 @@
 """Diolaiti, Niemeyer, Barbagli and Salisbury 2006: a virtual wall whose force is late by whole samples."""
 
+from __future__ import annotations
+
 from teleop.analysis.passivity.one_port import one_port
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall
 

@@ -1,5 +1,7 @@
 """A wall, a finger, an encoder and a passivity controller: five runs that a study wiki prints digit by digit."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from teleop.scene.loading import load_scene

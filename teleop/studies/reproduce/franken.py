@@ -1,5 +1,7 @@
 """Franken et al. 2011: the two-layer law over a second of delay, on a stiff wall."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from teleop.scene.loading import load_scene

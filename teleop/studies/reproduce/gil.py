@@ -1,5 +1,7 @@
 """Gil, Sanchez, Hulin, Preusche and Hirzinger 2009: the linear rule for the stability of a late virtual wall."""
 
+from __future__ import annotations
+
 from teleop.analysis.stability.assess import critical
 from teleop.scene.scene import Scene
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall

@@ -1,5 +1,7 @@
 """Gillespie and Cutkosky 1996: a handle that bounces on a sampled floor gains height at every strike."""
 
+from __future__ import annotations
+
 from teleop.simulation.virtual import run
 from teleop.studies.reproduce.publication import NumberSource, Publication, Replication, wall, with_hand
 

@@ -1,5 +1,7 @@
 """Hannaford and Ryu 2002: hard walls on the Excalibur display, with and without the passivity controller."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Niemeyer and Slotine 1991: what a wave channel feels like from one end."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from math import pi
 from typing import Any

@@ -1,5 +1,7 @@
 """Polushin, Liu and Lung 2007: what projection-based force reflection lets the hand feel."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any
 

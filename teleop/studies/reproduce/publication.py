@@ -13,6 +13,8 @@ Publications are counted apart by the source of their numbers (`NumberSource`): 
 measurement or a result of others; a formula at numbers of our own says that its derivation holds here.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum

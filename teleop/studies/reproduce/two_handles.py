@@ -1,5 +1,7 @@
 """Two handles coupled position-position and position-force, with and without delay: a study wiki's numbers."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 from teleop.analysis.passivity.judge import Judged, two_ports

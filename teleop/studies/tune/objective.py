@@ -25,6 +25,8 @@ minus the greatest work of one tick, since no law knows the work of the tick tha
 times dt times `FASTER` times the fastest motion of the rod (an end that bounces is faster).
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from math import inf, isfinite, sqrt
 from typing import Any, NamedTuple

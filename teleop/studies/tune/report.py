@@ -1,5 +1,7 @@
 """The command `teleop tune`, and the report of a search: text, document, points as CSV, and a plot."""
 
+from __future__ import annotations
+
 import shlex
 from argparse import Namespace
 from collections.abc import Iterable, Mapping, Sequence

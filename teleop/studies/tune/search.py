@@ -21,6 +21,8 @@ All rows go through the sweep engine, and none depends on other rows, on the eng
 the same arguments give the same result to the bit. Points of a search that was stopped are taken as they are.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache

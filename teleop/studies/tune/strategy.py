@@ -5,6 +5,8 @@ adaptation: it is asked for points and is then handed their ranks. Source: N. Ha
 tutorial", arXiv:1604.00772 (2016), section 4 and table 1, without its negative weights.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from math import ceil, exp, floor, log, log10, sqrt

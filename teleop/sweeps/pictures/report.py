@@ -1,5 +1,7 @@
 """Report of a sweep's folder: its summary over all the calls that ran rows, its refusals, its picture."""
 
+from __future__ import annotations
+
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from shlex import quote

@@ -1,5 +1,7 @@
 """Differences between two runs of a scene: errors of its quantities, and contacts that one of them missed."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite

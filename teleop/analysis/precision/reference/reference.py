@@ -15,6 +15,8 @@ Bodies with a closed form keep it; a tick that touches nothing and slides one wa
 stack's own is taken from the same state, so that the two are compared at every tick of a run.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from itertools import cycle
 from math import hypot, isfinite, nan, sqrt

@@ -10,6 +10,8 @@ and 0.3 to 1 ms by DOP853, so that 10 s of contact at 1 kHz take about a minute;
 nothing.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
