@@ -84,7 +84,7 @@ def of_several(runs: Sequence[RunView], title: str = "", under: str = "", before
     ended = ", ".join(f"{sum(run.result.status == status for run in runs)} {status}" for status in
                       dict.fromkeys(run.result.status for run in runs))
     return Section(title=title or f"{', '.join(scenes)}: {len(runs)} runs", under=under or ", ".join(
-        run.name for run in runs), sentence=f"{len(runs)} {noun}s: {ended}", blocks=blocks)
+        run.name for run in runs), sentence=f"{plural(len(runs), noun)}: {ended}", blocks=blocks)
 
 
 def most_to_see(results: Sequence[Result], most: int) -> list[int]:

@@ -173,7 +173,6 @@ def _file(kind: type[Any]) -> str:
     return f"{file or kind.__module__}:{kind.__name__}"
 
 
-
 def verdict(prepared: Prepared, trace: Mapping[str, Any], ran: int, end: Any, trip: int, *, advises: bool = True
             ) -> Ending:
     """Judge a run. `end` is None, or the positions that left the bounds; `trip`: the round trip of its link, ticks.

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from teleop.errors import NamedValues, Refused
 from teleop.law import law_name
@@ -26,6 +25,8 @@ from teleop.storage.strict_json import Misshapen, json_value, parse, write_docum
 from teleop.version import __version__
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from teleop.simulation.ending import Ending
 
 RUNNING = "still running"  # the status of a live run that has not ended: its result is of the ticks recorded so far

@@ -435,8 +435,8 @@ def draw_laws(axes: Axes, laws: Sequence[Mapping[str, Any]], advised: str | None
             if (value := law["terms"].get(name)) is not None:
                 axes.barh(y - 0.4 + (i + 0.5) * high, min(float(value), MOST), height=high, color=TERMS[name][0],
                           label=TERMS[name][1] if y == first else None)
-        axes.errorbar(float(law["value"]), y, xerr=law["deviation"] or None, fmt="D", color=plot.DARK, markersize=5,
-                      capsize=3, label="objective: root mean square" if y == first else None, zorder=5)
+        axes.errorbar(float(law["value"]), y, xerr=law["deviation"] or None, fmt="D", color=plot.DARK,
+                      markersize=5, capsize=3, label="objective: root mean square" if y == first else None, zorder=5)
     axes.set_yticks(range(len(laws)), [
         plot.literal(f"advised: {each['law']}" if each["law"] == advised else each["law"]) for each in laws])
     axes.set_ylim(len(laws) - 0.4, -0.6)
