@@ -19,8 +19,8 @@ from teleop.version import __version__
 
 FIRST = """\
 Move a robot far away and feel what it touches, although the network delays,
-jitters and loses: control laws for bilateral teleoperation, live and in
-virtual time.
+jitters and drops packets: control laws for bilateral teleoperation, live and
+in virtual time.
 
 three things to try
   teleop demo --page

@@ -302,8 +302,7 @@ def _against(law: LawAdvice, best: LawAdvice | None) -> list[str]:
     words = {
         "tracking": f"tracks poorly, {_si(score, SCENE, 'x_err_rms')} rms",
         "drag": f"drags, {_si(score, FREE, 'f_m_max')} in free space",
-        "touch": f"{'starves the wall' if score.terms.get('touch', 0.0) > HALF else 'presses less'}, "
-                 f"{_si(score, SCENE, 'f_env_end')}{steady}",
+        "touch": f"presses less, {_si(score, SCENE, 'f_env_end')}{steady}",
         "feel": f"is {'hardly felt' if score.terms.get('feel', 0.0) > HALF else 'felt less'}, "
                 f"{_si(score, SCENE, 'f_m_end')}{steady} at the hand",
         "rough": f"is rough, its force on the hand changes by {_si(score, SCENE, 'jerk_rms')} rms",
@@ -311,8 +310,9 @@ def _against(law: LawAdvice, best: LawAdvice | None) -> list[str]:
     }
     terms = {} if best is None or best.tuned is None else best.tuned.score.terms
     touch, feel = (figure(score, SCENE, name) for name in ("f_env_end", "f_m_end"))
-    if baseline.steady is not None and touch is not None and touch > baseline.steady:
-        words["touch"] = f"presses too hard, {si(touch, 'N')}{steady}"
+    if baseline.steady and touch is not None:
+        words["touch"] = (f"presses too hard, {si(touch, 'N')}{steady}" if touch > baseline.steady else
+                          f"passes only {100.0 * touch / baseline.steady:.0f} % of the force to the wall")
     if baseline.steady is not None and feel is not None and feel > baseline.steady:
         words["feel"] = f"is felt too hard, {si(feel, 'N')}{steady} at the hand"
     return [words[name] for name, value in sorted(score.terms.items(), key=lambda each: -each[1])
