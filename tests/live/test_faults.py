@@ -115,7 +115,7 @@ def test_a_law_whose_exception_the_event_loop_swallows_holds_no_force(
     class Law:
         send = staticmethod(lambda _told: raising(error)())
 
-    device = Probe(e, lambda: setattr(both.shells[e].endpoint, "_started", Law))
+    device = Probe(e, lambda: setattr(both.shells[e].endpoint._law, "_started", Law))
     both = pair(SCENE, parts={**{"m": {}, "s": {}}, e: {"device": device}})
     answer = Method(SCENE.law, "master" if e == "m" else "slave")
     ended_of(both.run(), e, device, error, f"the answer of {answer.label}{answer.first_line()}")
