@@ -93,7 +93,7 @@ class Oddities:
         for g in self.gains:
             chosen = max(chosen, g * v)
         tx = Sent(
-            x, min(x, v, 0.0 * v, nan if x > 0.05 else 0.0), max(-0.0, 0.0 * x),
+            x, min(nan if x > 0.05 else 0.0, x, v, 0.0 * v), max(-0.0, 0.0 * x),
             (v > 0.0) + (x > 0.0) * 2 - (not at.fresh),
             v % 0.3 + -v % -0.7 + x % inf, (count - 7) % self.n + (count % -4), 1.0 if -0.1 < v <= x < 5.0 else 0.0,
             (v > 0.1 and x) or s.a or 0.25, self.twice if self.mode == "soft" else 0.0, total + past[-1],
