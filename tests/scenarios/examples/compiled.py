@@ -21,7 +21,7 @@ def compiled(name: str, folder: Path, whole: Path | None = None, *, end: tuple[s
 
     `end`: what `teleop emit` is typed with, of the end that it is for. The test is skipped where there is no compiler.
     """
-    built = folder / name
+    compiler, built = program(*COMPILERS), folder / name
     sources = [str(HERE / each) for each in ("wire.c", f"{name}.c")] if whole is None else [f"-I{HERE}", str(whole)]
     if end:
         assert main(["emit", *end, "--out", str(folder / "printed"), "--json"]) == 0
@@ -29,7 +29,7 @@ def compiled(name: str, folder: Path, whole: Path | None = None, *, end: tuple[s
         sources += [f"-DEND={code.stem}", f"-I{HERE}", f"-I{code.parent}", str(code)]
     why = ""
     for flags in (WATCHED, []):  # not every compiler comes with the libraries that watch
-        done = subprocess.run([program(*COMPILERS), *STRICT, *flags, *sources, "-lm", "-o", str(built)],
+        done = subprocess.run([compiler, *STRICT, *flags, *sources, "-lm", "-o", str(built)],
                               capture_output=True, text=True, check=False)
         if done.returncode == 0:
             return built
