@@ -21,7 +21,8 @@ def compiled(name: str, folder: Path, whole: Path | None = None, *, end: tuple[s
 
     `end`: what `teleop emit` is typed with, of the end that it is for. The test is skipped where there is no compiler.
     """
-    compiler, built = program(*COMPILERS), folder / name
+    compiler = program(*COMPILERS)
+    built = folder / name
     sources = [str(HERE / each) for each in ("wire.c", f"{name}.c")] if whole is None else [f"-I{HERE}", str(whole)]
     if end:
         assert main(["emit", *end, "--out", str(folder / "printed"), "--json"]) == 0
