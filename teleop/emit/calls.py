@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import re
 from contextlib import suppress
 from dataclasses import is_dataclass
+from functools import reduce
 from inspect import CO_VARARGS, CO_VARKEYWORDS
 from types import FunctionType, MethodType
 from typing import Any
@@ -25,6 +27,10 @@ class Calls(CExpressions):
         if isinstance(node.func, ast.Attribute) and node.func.attr == "_replace":
             return self.replaced(self.evaluate(node.func.value), node)
         function = self.evaluate(node.func)
+        if function in (Known(all), Known(any)) and not isinstance(node.args[0], ast.GeneratorExp):
+            values = [self._bool(each) for each in self.parts(self.evaluate(node.args[0]))]
+            return reduce(lambda a, b: self.both(a, b, "&" if function == Known(all) else "|"),
+                          values or [Known(function == Known(all))])
         arguments = [one for each in node.args for one in self.several(each)]
         keywords = {str(each.arg): self.evaluate(each.value) for each in node.keywords}
         if isinstance(function, MethodOf):
@@ -40,7 +46,7 @@ class Calls(CExpressions):
             raise self.refused(f"{ast.unparse(node)} is of no NamedTuple")
         fields = dict(zip(of_class._fields, self.parts(value), strict=True))
         fields.update({str(each.arg): self.evaluate(each.value) for each in node.keywords})
-        return TupleParts(tuple(fields.values()), of_class)
+        return self.kept(TupleParts(tuple(fields.values()), of_class), value)
 
     def apply(self, function: Any, arguments: list[Value], keywords: dict[str, Value]) -> Value:
         """A call of a thing of Python."""
@@ -52,6 +58,8 @@ class Calls(CExpressions):
             return TupleParts((*arguments, *rest), function)
         if isinstance(function, FunctionType):
             return self.call(function, arguments, keywords)
+        if keywords and function is not zip:
+            raise self.refused(f"{no_line(function)} has no line in C with {', '.join(keywords)}=")
         if all(isinstance(each, Known) for each in arguments) and (function in FOLDED or function in PRIMITIVES):
             with suppress(ArithmeticError, ValueError):  # at every tick, and so in C
                 made = function(*[each.value for each in arguments])
@@ -67,6 +75,8 @@ class Calls(CExpressions):
     def primitive(self, function: Any, arguments: list[Value]) -> Printed:
         """A call of a function that C has a line for."""
         primitive = PRIMITIVES[function]
+        if len(arguments) != len({*re.findall(r"{(\d)}", primitive.text)}):
+            raise self.refused(f"{no_line(function)} has no line in C with {len(arguments)} arguments")
         if primitive.helper:
             self.program.helpers.add(primitive.helper)
         self.faults = self.faults or primitive.faults
@@ -88,13 +98,14 @@ class Calls(CExpressions):
     _list = _tuple
 
     def _len(self, value: Value) -> Value:
-        return Known(len(self.parts(value)))
+        return self.kept(Known(len(self.parts(value))), value)
 
     def _zip(self, *values: Value) -> Value:
         return TupleParts(tuple([TupleParts(row) for row in zip(*map(self.parts, values), strict=False)]))
 
-    def _enumerate(self, value: Value) -> Value:
-        return TupleParts(tuple([TupleParts((Known(i), each)) for i, each in enumerate(self.parts(value))]))
+    def _enumerate(self, value: Value, *start: Value) -> Value:
+        first = start[0].value if start else 0
+        return self._zip(Known(range(first, first + len(self.parts(value)))), value)
 
     def _reversed(self, value: Value) -> Value:
         return TupleParts(self.parts(value)[::-1])

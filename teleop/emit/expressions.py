@@ -11,7 +11,8 @@ import ast
 import builtins
 import operator
 import re
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from inspect import getattr_static
 from itertools import groupby
@@ -42,7 +43,8 @@ from teleop.simulation.expressions import Known
 LONG = 8  # parts of a tuple beyond which they are copied by a loop
 NUMBERS = (bool, int, float)
 RESERVED = frozenset((
-    "s", "p", "in", "out", "fault", "y0", "y1", "yn", "j0", "j1", "jn", "gamma", "div", "exp", "log", "sin", "cos"))
+    "s", "p", "in", "out", "fault", "y0", "y1", "yn", "j0", "j1", "jn", "gamma", "div", "exp", "log", "sin", "cos",
+    "fabs", "trunc", "int64_t", "NAN", "INFINITY"))
 OF_ONE: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.Not: operator.not_, ast.USub: operator.neg, ast.UAdd: operator.pos}
 WORDS = {"JoinedStr": "an f-string", "Lambda": "a lambda within a function", "Dict": "a dict", "Set": "a set",
@@ -52,8 +54,17 @@ WORDS = {"JoinedStr": "an f-string", "Lambda": "a lambda within a function", "Di
 
 
 def c_word(name: str) -> str:
-    """The name of a variable in C."""
-    return f"{name}_" if name in RESERVED or name in KEYWORDS else name
+    """The name of a variable in C, which no other variable has."""
+    return f"{name}_" if name.rstrip("_") in RESERVED | KEYWORDS else name
+
+
+def texts_of(value: Value) -> Iterator[str]:
+    """The expressions that a value is made of."""
+    if isinstance(value, TupleParts):
+        for each in value.values:
+            yield from texts_of(each)
+    elif isinstance(value, Printed):
+        yield value.text
 
 
 def bare(text: str) -> str:
@@ -68,10 +79,10 @@ def bare(text: str) -> str:
     return text[1:-1]
 
 
-class CExpressions:
+class CExpressions(ABC):
     """The expressions of one function; `program` has the types, the helpers and the functions that it calls."""
 
-    def __init__(self, program: Any, function: FunctionType) -> None:
+    def __init__(self, program: Any, function: Any) -> None:
         self.program, self.types, self.function = program, program.types, function
         self.file, self.line = function.__code__.co_filename, function.__code__.co_firstlineno
         self.known: dict[str, Value] = {}  # what each name stands for
@@ -217,9 +228,9 @@ class CExpressions:
             kind = joined
         return kind
 
+    @abstractmethod
     def apply(self, function: Any, arguments: list[Value], keywords: dict[str, Value]) -> Value:
         """A call of a thing of Python: see `teleop.emit.calls`."""
-        raise NotImplementedError
 
     # Names, fields, parts
 
@@ -265,17 +276,26 @@ class CExpressions:
                     for each in (node.slice.lower, node.slice.upper, node.slice.step)]
             if not all(each is None or isinstance(each, Known) for each in ends):
                 raise self.refused(f"{ast.unparse(node)} has an end that is not known when it is printed")
-            return TupleParts(self.parts(inner)[slice(*[None if each is None else each.value for each in ends])])
+            made = TupleParts(self.parts(inner)[slice(*[None if each is None else each.value for each in ends])])
+            return self.kept(made, inner)
         at = self.evaluate(node.slice)
         if isinstance(inner, Known) and isinstance(at, Known):
             return Known(inner.value[at.value])
         if isinstance(at, Known):
-            return self.parts(inner)[at.value]
+            return self.kept(self.parts(inner)[at.value], inner)
         printed = self.whole(inner)
         if not isinstance(printed.type, Array) or printed.type.bare:
             raise self.refused(f"{ast.unparse(node)} takes a part of unlike ones by a number that is not known")
         index = self.helper("py_index", bare(self.to(at, INT)), str(printed.type.count), faults=True)
         return Printed(printed.type.of, f"{printed.text}.at[{index}]")
+
+    def kept(self, value: Value, *of: Value) -> Value:
+        """A value that is made of these, refused where what it leaves out may fault."""
+        text = " ".join(texts_of(value))
+        for each in of:
+            if any("fault" in one and one not in text for one in texts_of(each)):
+                raise self.refused("what may be a division by zero is made and not read; leave it out")
+        return value
 
     def _Tuple(self, node: ast.Tuple) -> Value:
         return TupleParts(tuple([one for each in node.elts for one in self.several(each)]))
@@ -352,15 +372,19 @@ class CExpressions:
             return Printed(kind, self.helper("py_imod" if kind == INT else "py_mod", bare(self.to(left, kind)),
                                              bare(self.to(right, kind)), faults=True))
         if isinstance(op, ast.BitAnd | ast.BitOr) and self.joined(left, right) == BOOL:
-            return self.either([left, right], decides=isinstance(op, ast.BitOr))
+            return self.both(left, right, "&" if isinstance(op, ast.BitAnd) else "|")
         if isinstance(op, ast.FloorDiv) and kind == INT:
             if right == Known(1):
                 return left
             a, b = bare(self.to(left, INT)), bare(self.to(right, INT))
             return Printed(INT, self.helper("py_idiv", a, b, faults=True))
-        what = {ast.Pow: "`**` is rounded otherwise from one libm to the next; write x * x",
-                ast.FloorDiv: "`//` has no line in C; write floor(a / b)"}
-        raise self.refused(what.get(type(op), f"{type(op).__name__} has no line in C"))
+        instead = {ast.Pow: "`**` is rounded otherwise from one libm to the next; write x * x",
+                   ast.FloorDiv: "`//` has no line in C; write floor(a / b)"}
+        raise self.refused(instead.get(type(op), f"{type(op).__name__} has no line in C"))
+
+    def both(self, left: Value, right: Value, sign: str) -> Printed:
+        """Two truths with & or | between them: unlike `and` and `or`, they are both worked out, with their faults."""
+        return Printed(BOOL, f"({self.truth(left)} {sign} {self.truth(right)})")
 
     def is_number(self, value: Value) -> bool:
         """True of a number, False of a tuple."""

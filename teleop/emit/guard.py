@@ -60,7 +60,7 @@ def with_guard(scene: Scene, tick: PrintedTick) -> tuple[PrintedTick, Guard]:
     program, types, prefix, axes = tick.program, tick.program.types, tick.prefix, scene.axes
     numbers = guard_numbers(scene)
     kind = types.of_value(numbers)
-    caller = Statements(program, guard_step)  # type: ignore[arg-type]
+    caller = Statements(program, guard_step)
 
     def call(function: Any, *arguments: Any) -> Printed:
         values = [Printed(*each) if isinstance(each, tuple) else Known(each) for each in arguments]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
@@ -72,7 +72,7 @@ class Program:
         if not isinstance(line, ast.Return) or line.value is None:
             raise caller.refused(f"{function.__qualname__} has a starred argument and lines of its own")
         inner.known = dict(zip(function.__code__.co_varnames, values, strict=False))
-        answer = inner.evaluate(line.value)
+        answer = inner.kept(inner.evaluate(line.value), *values)
         caller.faults = caller.faults or inner.faults
         return answer
 
@@ -111,7 +111,7 @@ class Program:
 class Statements(Calls):
     """Printer of one function."""
 
-    def __init__(self, program: Program, function: FunctionType) -> None:
+    def __init__(self, program: Program, function: Any) -> None:
         super().__init__(program, function)
         self.kinds: dict[str, Any] = {}  # of variables
         self.gives: Any = None
@@ -182,7 +182,7 @@ class Statements(Calls):
                               if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store))
         self.depth, self.loops, self.turns = 1, 0, 0
 
-    def rendered(self, where: int, skip: set[str] = frozenset(), keep: str = "") -> str:  # type: ignore[assignment]
+    def rendered(self, where: int, skip: Set[str] = frozenset(), keep: str = "") -> str:
         """The lines as text, without those that set what nothing reads; `keep` is text that reads variables too."""
         lines = needed(self.lines, keep)
         text = []
@@ -203,7 +203,7 @@ class Statements(Calls):
 
     def word_of(self, target: str) -> str:
         """The variable that is set, as the types know it."""
-        return target if target in self.kinds else target.removesuffix("_")
+        return next((word for word in self.kinds if c_word(word) == target), target)
 
     # Lines
 
@@ -251,15 +251,34 @@ class Statements(Calls):
         self.assign(line.target, self.binary(line.op, self._Name(ast.Name(line.target.id, ast.Load())),
                                              self.evaluate(line.value)))
 
+    def fresh(self, letter: str) -> str:
+        """A name that no variable of Python has."""
+        while True:
+            self.turns += 1
+            word = f"{letter}{self.turns}"
+            if not {word, f"n_{word}"} & {*self.stores, *self.known}:
+                return word
+
     def temporary(self, value: Printed) -> Printed:
-        """A variable of its own with a value."""
-        if value.type == NOTHING or re.fullmatch(r"[\w.]+", value.text):
+        """A value by a name: its own, or that of a copy."""
+        return value if re.fullmatch(r"[\w.]+", value.text) else self.copied(value)
+
+    def copied(self, value: Printed) -> Printed:
+        """A copy of a value in a variable of its own."""
+        if value.type == NOTHING or value.fixed:
             return value
-        self.turns += 1
-        word = f"t{self.turns}"
+        word = self.fresh("t")
         self.kinds[word] = value.type
         self.append(bare(value.text), word)
         return Printed(value.type, word)
+
+    def settled(self, value: Value, stored: set[str]) -> Value:
+        """A value that stays while these variables of C are set, and that faults here and not where it is read."""
+        if isinstance(value, TupleParts):
+            return value._replace(values=tuple([self.settled(each, stored) for each in value.values]))
+        if isinstance(value, Printed) and {"fault", *stored} & words_of(value.text):
+            return self.copied(value)
+        return value
 
     def assign(self, target: Any, value: Value) -> None:
         """Set a name, or the names of a tuple, to a value."""
@@ -269,10 +288,10 @@ class Statements(Calls):
             parts = self.parts(value)
             if len(parts) != len(target.elts):
                 raise self.refused(f"{len(parts)} values for {len(target.elts)} names")
-            names = [c_word(each.id) if isinstance(each, ast.Name) else "" for each in target.elts]
+            names = [set(map(c_word, stores([each]))) for each in target.elts]
             printed = [each if isinstance(each, Known) else self.whole(each) for each in parts]
-            clash = any(re.search(rf"\b{name}\b", one.text) for i, one in enumerate(printed)
-                        if isinstance(one, Printed) for name in filter(None, names[:i]))
+            clash = any(set().union(*names[:i]) & words_of(one.text)
+                        for i, one in enumerate(printed) if isinstance(one, Printed))
             if clash:
                 printed = [self.copied(each) if isinstance(each, Printed) else each for each in printed]
             for each, one in zip(target.elts, printed, strict=True):
@@ -281,16 +300,6 @@ class Statements(Calls):
         if not isinstance(target, ast.Name):
             raise self.refused(f"{ast.unparse(target)} cannot be set in C; make a new tuple")
         self.set_name(target.id, value)
-
-    def copied(self, value: Printed) -> Printed:
-        """A copy of a value in a variable of its own."""
-        if value.type == NOTHING or value.fixed:
-            return value
-        self.turns += 1
-        word = f"t{self.turns}"
-        self.kinds[word] = value.type
-        self.append(bare(value.text), word)
-        return Printed(value.type, word)
 
     def set_name(self, name: str, value: Value) -> None:
         """Set a variable."""
@@ -363,16 +372,13 @@ class Statements(Calls):
                                  or ends[1].value - ends[0].value > 16):
             self.loop_over(line, self.to(ends[0], INT), self.to(ends[1], INT), None)
             return
-        over = self.evaluate(line.iter)
+        over, stored = self.evaluate(line.iter), set(map(c_word, stores([line])))
         if isinstance(over, Printed) and isinstance(over.type, Array):
-            self.loop_over(line, "0", str(over.type.count), self.temporary(over))
+            self.loop_over(line, "0", str(over.type.count), self.temporary(self.settled(over, stored)))
             return
         if leaves:
             raise self.refused("`break` and `continue` stand in a loop over a range or a tuple of like numbers")
-        stored = {c_word(name) for name in stores([line])}
-        if isinstance(over, Printed) and stored.intersection(re.findall(r"\w+", over.text)):
-            over = self.copied(over)
-        for each in self.parts(over):
+        for each in self.parts(self.settled(over, stored)):
             self.loops += 1
             self.bind(line.target, each)
             self.block(line.body)
@@ -389,8 +395,7 @@ class Statements(Calls):
     def loop_over(self, line: ast.For, first: str, last: str, over: Printed | None) -> None:
         """A loop that stays one: over whole numbers, or over the parts of an array."""
         self.loops += 1
-        self.turns += 1
-        i = f"i{self.turns}"
+        i = self.fresh("i")
         self.append(f"for (int64_t {i} = {bare(first)}, n_{i} = {bare(last)}; {i} < n_{i}; {i}++) {{")
         self.depth += 1
         if not (isinstance(line.target, ast.Name) and line.target.id == "_"):
@@ -411,8 +416,8 @@ class Statements(Calls):
 def needed(lines: list[Line], keep: str) -> list[Line]:
     """The lines without those that set what nothing reads; a value that may fault is still worked out."""
     while True:
-        words = [set(re.findall(r"[A-Za-z_]\w*", line.text)) for line in lines]
-        lasting = set(re.findall(r"[A-Za-z_]\w*", keep))
+        words = [words_of(line.text) for line in lines]
+        lasting = words_of(keep)
         made: list[Line] = []
         for line in lines:
             is_read = line.target in lasting or any(
@@ -427,6 +432,11 @@ def needed(lines: list[Line], keep: str) -> list[Line]:
         if made == lines:
             return made
         lines = made
+
+
+def words_of(text: str) -> set[str]:
+    """The names in a text of C, without those of fields."""
+    return set(re.findall(r"(?<![\w.])(?<!->)[A-Za-z_]\w*", text))
 
 
 def stores(nodes: Sequence[ast.AST]) -> set[str]:

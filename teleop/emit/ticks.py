@@ -70,7 +70,7 @@ class TickPrinter(Statements):
     """Printer of the lines of the generator; `names` is what they find by name."""
 
     def __init__(self, program: Program, names: dict[str, Any]) -> None:
-        super().__init__(program, live)  # type: ignore[arg-type]
+        super().__init__(program, live)
         self.names = names
 
     def _Name(self, node: ast.Name) -> Value:

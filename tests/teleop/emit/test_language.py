@@ -53,12 +53,23 @@ ALLOWED = {
     "a text knob": "f = f if self.mode == 'soft' else 2.0 * f",
     "a comprehension over what is known": "f = max([g * at.v for g in self.gains])",
     "abs": "f = f + abs(at.v)",
+    "tuples within tuples, swapped": "(p, q), r = (at.v, at.x), f; (p, q), r = (q, r), p; f = p + 2.0 * q + 0.1 * r",
+    "a loop over a tuple that it sets":
+        "t = (at.x, at.v, f)\n        for e in t: t = (t[1], t[2], t[0]); f = f + e * t[0]",
+    "a loop over values of what it sets": "for e in (f, f + 1.0): f = 0.5 * f + e",
+    "a loop over rows of what it sets": "for i, e in enumerate(t, 1): t = (t[1], t[2], e); f = f + i * t[0]",
+    "names that C has":
+        "i1 = t1 = NAN = at.v; t1, INFINITY = NAN + 1.0, t1 + f\n        for k in range(20): i1 = i1 + k * t1",
+    "numbers of them": "fault = i1; fault_ = INFINITY; f = fault + 2.0 * fault_; n_i1 = f",
     "exp": "f = f + exp(-abs(at.v))",
 }
 REFUSED = {
     "f = f + at.v ** 2": "`**` is rounded otherwise from one libm to the next; write x * x",
     "f = f + hypot(at.v, at.x)": "`hypot` is rounded otherwise in Python than in libm; write sqrt(x * x + y * y)",
     "f = sum((at.v, at.x))": "`sum` compensates from Python 3.12 on, and C does not; write a + b + c",
+    "f = log(abs(f) + 1.0, 2.0)": "math.log has no line in C with 2 arguments",
+    "f = max(f, at.v, key=abs)": "max has no line in C with key=",
+    "f = (f, 1.0 / (at.x + 9.0))[0]": "what may be a division by zero is made and not read; leave it out",
     "f = f // 2.0": "`//` has no line in C; write floor(a / b)",
     "f = round(f, 3)": "`round` rounds by the decimal digits; write floor(x + 0.5)",
     "f = f + len(f'{f}')": "an f-string has no line in C",

@@ -142,8 +142,17 @@ def test_a_helper_as_c_has_it_is_caught(helper: str, tmp_path: Path, monkeypatch
 
 def raising(v: float, x: float) -> float:
     """Divisions, roots, exponentials and whole numbers of what a device reads, some of which Python refuses."""
+    steps = floor(v * 20.0)
+    if x > 0.12:
+        return 1.0 if (v > 0.0) | (1.0 / steps > 0.0) else 0.5
     if x > 0.1:
-        return 1.0 / floor(v * 20.0)
+        return 1.0 if any((v > 0.0, 1.0 / steps > 0.0)) else 0.5
+    if x > 0.08:
+        for each in (v, 1.0 / steps):
+            x += each if v < 0.0 else 1.0
+        return x
+    if x > 0.06:
+        return 1.0 / steps
     if x > 0.0:
         return sqrt(v + 0.3)
     return exp(v * 3000.0) + x % floor(v * 20.0)
