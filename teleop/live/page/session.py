@@ -193,6 +193,7 @@ class PageParts:
         self._begun = 0  # parts, those that were removed too
         self._about = {"version": VERSION, **about}
         self._parts: list[PagePart] = []
+        self._settled: dict[str, int] = {}  # bytes of the parts in which nothing is written any more
 
     def __len__(self) -> int:
         return len(self._parts)
@@ -208,14 +209,17 @@ class PageParts:
         return self._ends(self._parts[-1])
 
     def sizes(self) -> list[int]:
-        """Bytes that each part has on the disk, oldest first."""
-        return [sum(file.stat().st_size for file in (self.folder / part.folder).rglob("*") if file.is_file())
-                for part in self._parts]
+        """Bytes that each part has on the disk, oldest first; of all but the newest two as they were measured once."""
+        for part in self._parts[:-2]:
+            if part.folder not in self._settled:
+                self._settled[part.folder] = self._size(part)
+        return [*(self._settled[part.folder] for part in self._parts[:-2]), *map(self._size, self._parts[-2:])]
 
     def drop_oldest(self) -> str:
         """Remove the oldest part, which must not be the newest; return its name. Raises `OSError`, and keeps it."""
         oldest = self._parts[0]
-        shutil.rmtree(self.folder / oldest.folder)
+        with suppress(FileNotFoundError):  # a person has removed it
+            shutil.rmtree(self.folder / oldest.folder)
         del self._parts[0]
         self._write()
         return oldest.folder
@@ -266,6 +270,9 @@ class PageParts:
 
     def _ends(self, part: PagePart) -> dict[str, Path]:
         return {e: self.folder / part.folder / name for e, name in NAMES.items()}
+
+    def _size(self, part: PagePart) -> int:
+        return sum(file.stat().st_size for file in (self.folder / part.folder).rglob("*") if file.is_file())
 
     def _write(self) -> None:
         write_document(self.folder / INDEX, {**self._about, "parts": [part._asdict() for part in self._parts]})

@@ -10,7 +10,7 @@ import pytest
 
 from teleop import load_result, load_scene
 from teleop.errors import Refused
-from teleop.live.page.session import PageParts, size_of
+from teleop.live.page.session import PagePart, PageParts, size_of
 from tests.live.conftest import Pair
 
 pytestmark = pytest.mark.live
@@ -73,6 +73,26 @@ def test_the_oldest_part_goes_first_and_no_name_is_given_twice(tmp_path: Path) -
     assert not (tmp_path / "01").exists()
     assert parts.begin({}, 300, "turn")["m"] == tmp_path / "04" / "master"
     assert [part["folder"] for part in json.loads((tmp_path / "page.json").read_text())["parts"]] == ["02", "03", "04"]
+    shutil.rmtree(tmp_path / "02")
+    assert parts.drop_oldest() == "02", "a part that a person removed kept all others from being removed"
+
+
+def test_a_part_that_is_over_is_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred parts took 70 ms of each second, in which no picture came."""
+    parts, measured = PageParts(tmp_path, {"scene": "hard_wall"}), list[str]()
+    for i in range(20):
+        parts.begin({}, 100 * i, "turn")["m"].mkdir(parents=True)
+    size = PageParts._size
+
+    def counted(self: PageParts, part: PagePart) -> int:
+        measured.append(part.folder)
+        return size(self, part)
+
+    monkeypatch.setattr(PageParts, "_size", counted)
+    for i in range(3):
+        (parts.newest["m"] / "record.bin").write_bytes(bytes(1000 * (i + 1)))
+        assert parts.sizes() == [0] * 19 + [1000 * (i + 1)], "the newest part grows"
+    assert len(measured) == 18 + 3 * 2
 
 
 def test_a_size_is_read_as_it_is_typed() -> None:
