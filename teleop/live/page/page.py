@@ -455,7 +455,7 @@ class Page:
 
     def _hello(self) -> str:
         return json_text({**self._controls.hello(self._switches.choice, self._scene), "state": self._state(),
-                          "arm": None if self._rows.view is None else self._rows.view.shapes()})
+                          "arm": None if self._rows.view is None else self._rows.view.shapes})
 
     def _state(self) -> str:
         if self._lost:

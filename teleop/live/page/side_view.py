@@ -30,7 +30,11 @@ ROOM = 1.5  # of the view beside what it has to show
 
 
 class SideView:
-    """Side view of the model in `robot` (`mujoco` or `mujoco:FILE`) as it stands in a scene. Raises `Refused`."""
+    """Side view of the model in `robot` (`mujoco` or `mujoco:FILE`) as it stands in a scene. Raises `Refused`.
+
+    `shapes`, for the page: points (m, of the geom's frame) that a disc of `radius` is swept around; `world`: what
+    stands still, in the picture's own frame; the view, of the pose that the model begins in.
+    """
 
     def __init__(self, scene: Scene, robot: str) -> None:
         import mujoco
@@ -53,12 +57,16 @@ class SideView:
         along = far[:2] / max(float(np.hypot(*far[:2])), 1e-9) if np.hypot(*far[:2]) > 1e-6 else np.array([1.0, 0.0])
         self._plane: NDArray[np.float64] = np.array([[*along, 0.0], [0.0, 0.0, 1.0]])
         self._target = None if self._model.tip is None else self._data.xpos[self._model.tip].copy()
+        self.shapes = self._outlines()
 
-    def shapes(self) -> dict[str, Any]:
-        """Outlines for the page: points (m, of the geom's frame) that a disc of `radius` is swept around; the view.
+    def poses(self, m: Sequence[float], s: Sequence[float]) -> list[list[list[float]]]:
+        """Poses of all outlines, as six numbers each: two rows of a rotation and the place in the picture.
 
-        `world`: what stands still, in the picture's own frame.
+        Of the robot at the slave's positions `s`; where the axes are joints, of its picture at the master's, `m`, too.
         """
+        return [self._pose(positions) for positions in ([s] if self._model.tip is not None else [s, m])]
+
+    def _outlines(self) -> dict[str, Any]:
         import numpy as np
 
         points = [_points(self._mujoco, self._model.model, n) for n in self._geoms]
@@ -70,13 +78,6 @@ class SideView:
         return {"shapes": [{"radius": radius, "points": np.round(at, 5).tolist()} for radius, at in points],
                 "world": [{"radius": radius, "points": self._seen(n, at).round(5).tolist()} for n, radius, at in world],
                 "middle": ((low + high) / 2.0).round(5).tolist(), "span": float(ROOM * max(high - low))}
-
-    def poses(self, m: Sequence[float], s: Sequence[float]) -> list[list[list[float]]]:
-        """Poses of all outlines, as six numbers each: two rows of a rotation and the place in the picture.
-
-        Of the robot at the slave's positions `s`; where the axes are joints, of its picture at the master's, `m`, too.
-        """
-        return [self._pose(positions) for positions in ([s] if self._model.tip is not None else [s, m])]
 
     def _pose(self, positions: Sequence[float]) -> list[list[float]]:
         self._place(positions)

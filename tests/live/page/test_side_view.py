@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from math import cos, pi, sin
 from pathlib import Path
 
@@ -11,7 +12,11 @@ import pytest
 pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
 
 from teleop.errors import Refused
+from teleop.live.page.controls import Controls
+from teleop.live.page.page import Page
+from teleop.live.page.session import PageParts, Start
 from teleop.live.page.side_view import SideView
+from teleop.live.process.interrupt import Interrupt
 from teleop.scene.loading import load_scene
 
 SHAPES = """<mujoco><default><geom contype="0" conaffinity="0" mass="0.01"/></default><worldbody>
@@ -30,7 +35,7 @@ def test_the_end_of_a_jointed_arm_is_where_its_angles_put_it_and_the_masters_pic
     file = tmp_path / "six.xml"
     file.write_text(SHAPES)
     view = SideView(load_scene("leader_follower"), f"mujoco:{file}")
-    model = view.shapes()
+    model = view.shapes
     assert [shape["radius"] for shape in model["shapes"]] == [0.04, 0.02, 0.0, 0.0, 0.0, 0.01]
     assert len(model["world"]) == 1, "the box; a plane has no end"
     assert np.ptp(model["world"][0]["points"], axis=0) == pytest.approx([0.2, 0.1])
@@ -45,6 +50,15 @@ def test_the_end_of_a_jointed_arm_is_where_its_angles_put_it_and_the_masters_pic
             turned = np.array(poses[2][:6]).reshape(2, 3)  # the box of the forearm
             assert turned @ [1.0, 0.0, 0.0] == pytest.approx(
                 [cos(q[0]) * cos(q[1] + q[2]), sin(q[1] + q[2])], abs=2e-5)
+
+
+def test_the_view_is_of_the_pose_that_the_model_begins_in() -> None:
+    """It was of the pose in which a page was opened or a law switched, so each browser had a view of its own."""
+    view, controls = SideView(load_scene("arm"), "mujoco"), Controls("arm", {}, "mujoco")
+    page = Page(controls, PageParts(Path(), {}), Start("arm", 0), Interrupt(), lambda: 0.0, view)
+    before = json.loads(page._hello())["arm"]
+    view.poses((0.0, 0.0, 0.0), (0.1, 0.1, 0.1))
+    assert json.loads(page._hello())["arm"] == before
 
 
 def test_the_joints_of_an_arm_whose_end_is_coupled_are_found_for_every_position() -> None:
@@ -62,7 +76,7 @@ def test_outlines_hold_their_shapes(tmp_path: Path) -> None:
     """A cylinder's and an ellipsoid's points lie on them; a mesh's are vertices of it, the furthest ones."""
     file = tmp_path / "six.xml"
     file.write_text(SHAPES)
-    shapes = SideView(load_scene("leader_follower"), f"mujoco:{file}").shapes()["shapes"]
+    shapes = SideView(load_scene("leader_follower"), f"mujoco:{file}").shapes["shapes"]
     x, y, z = np.array(shapes[3]["points"]).T
     assert np.hypot(x, y) == pytest.approx(np.full(len(x), 0.03), abs=1e-4)
     assert set(np.round(np.abs(z), 5)) == {0.05}
@@ -72,7 +86,7 @@ def test_outlines_hold_their_shapes(tmp_path: Path) -> None:
     asset = f'<asset><mesh name="m" vertex="{corners}"/></asset><worldbody>'
     with_mesh = SHAPES.replace('type="sphere" size="0.01"', 'type="mesh" mesh="m"')
     file.write_text(with_mesh.replace("<worldbody>", asset, 1))
-    points = SideView(load_scene("leader_follower"), f"mujoco:{file}").shapes()["shapes"][-1]["points"]
+    points = SideView(load_scene("leader_follower"), f"mujoco:{file}").shapes["shapes"][-1]["points"]
     assert len(points) == 8
     assert sorted(np.ptp(points, axis=0)) == pytest.approx([1.0, 2.0, 3.0], abs=1e-4)
 
