@@ -192,9 +192,9 @@ def test_a_cable_that_is_pulled_for_a_second_leaves_no_force_and_the_run_goes_on
         assert without.sum() > 100
         assert not trace[f"f_{e}"][without].any()
         assert two[name].counted("FragCreates") > 1000, "two or three of a packet"
-        assert two[name].counted("ReasmOKs") > 200, "as many as are received at least"
-        way = "fwd" if name == "slave" else "bwd"
-        assert told[name]["packets"][way]["received"] > 200, "of both sessions, 1,200 bytes each"
+        received = told[name]["packets"]["fwd" if name == "slave" else "bwd"]["received"]
+        assert received > 200, "of both sessions, 1,200 bytes each"
+        assert two[name].counted("ReasmOKs") >= received
 
 
 def test_what_is_too_long_for_a_router_is_cut_there_though_nobody_says_so(machines: list[Machine]) -> None:
