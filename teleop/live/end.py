@@ -323,5 +323,3 @@ def _warn(shell: Shell, name: str, *, quiet: bool) -> None:
         shell.hint = lambda sentence: print(f"{name}: {sentence}", file=sys.stderr, flush=True)
     if holds_on(shell):
         complain(UNWATCHED, DONE)
-
-
