@@ -156,6 +156,7 @@ def _is_free(port: int) -> bool:
 def _begun(token: str, way: Path | None, port: int) -> None:
     """Note the address for the page that is started next, and show it."""
     with suppress(OSError, Refused), replacing(lock_folder() / LAST) as file:
+        os.fchmod(file.fileno(), 0o600)
         file.write(json.dumps({"port": port, "token": token}).encode())
     _listening(token, way, port)
 

@@ -69,6 +69,7 @@ class RecordTail(GrowingRecord):
 
     def __init__(self, folder: Path, name: str = FILE) -> None:
         super().__init__(folder, name)
+        self.part = folder.parent.name
         self.slices: dict[str, slice] = {}  # of each column in a row, once there is a header
         self.axes = 0
         self.newest: deque[Row] = deque(maxlen=KEPT)  # oldest first; of one tick each
@@ -130,8 +131,7 @@ class RowMessages:
         """
         if not all(each.newest for each in ends.values()):
             return None
-        parts, forces, gains = [f'"t":{t:.4f}', f'"part":"{ends["m"].folder.parent.name}"',
-                                f'"hand":{_list(hand)}'], {}, []
+        parts, forces, gains = [f'"t":{t:.4f}', f'"part":"{ends["m"].part}"', f'"hand":{_list(hand)}'], {}, []
         for e, tail in ends.items():
             row, slices = tail.newest[-1], tail.slices
             columns = list(zip(*(new[e] or [row]), strict=True))
@@ -146,7 +146,8 @@ class RowMessages:
                     forces[e] = extremes
             gains.append(_first_or(row, tail, _GAIN[e], self.gain[e]))
         kind, energy = _energy(**ends) if all(gains) else (None, None)  # without force it is of no session
-        parts += [f'"gain":{_list(gains)}', f'"kind":{json.dumps(kind)}', f'"E":{_number(energy)}', self._link(**ends)]
+        parts += [f'"gain":{_list(gains)}', '"kind":null' if kind is None else f'"kind":"{kind}"',
+                  f'"E":{_number(energy)}', self._link(**ends)]
         self._count += 1
         if self.view is not None and self._count % ARM_EVERY == 0:
             parts.append(f'"arm":{json.dumps(self.view.poses(**positions_of(ends)))}')

@@ -304,7 +304,7 @@ def test_a_page_that_is_started_again_has_the_port_and_the_token_of_the_last_one
         command._begun("secret", None, port)
         assert command._address(None) != (port, "secret"), "the port is taken"
     file, = tmp_path.rglob("page.json")
-    assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
+    assert [stat.S_IMODE(each.stat().st_mode) for each in (file.parent, file)] == [0o700, 0o600]
     assert command._address(None) == command._address(port) == (port, "secret")
     assert command._address(port + 1)[1] != "secret"
     os.utime(file, (0.0, 0.0))
