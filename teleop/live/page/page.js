@@ -137,7 +137,16 @@ function listen() {  // a server that stands still, or a cut way to it, closes n
   if (mute) say("error", "The server does not answer: it hangs, or the connection is cut. The page shows what came last.");
   else say("info", "The server answers again.");
 }
-function connect() {
+const hex = bytes => [...new Uint8Array(bytes)].map(byte => byte.toString(16).padStart(2, "0")).join("");
+async function proven() {  // whoever listens at the port by now is sent the token only after a proof that it has it
+  const text = new TextEncoder(), hmac = {name: "HMAC", hash: "SHA-256"}, nonce = hex(crypto.getRandomValues(new Uint8Array(16)));
+  const token = text.encode(new URLSearchParams(location.search).get("token"));
+  const answer = await fetch("/proof?nonce=" + nonce, {signal: AbortSignal.timeout(4e3)});
+  const key = await crypto.subtle.importKey("raw", token, hmac, false, ["sign"]);
+  return await answer.text() === hex(await crypto.subtle.sign("HMAC", key, text.encode("proof " + nonce)));
+}
+async function connect() {
+  if ((was || tries) && !await proven().catch(() => false)) return closed("");
   const url = (location.protocol === "https:" ? "wss://" : "ws://") + location.host + "/ws" + location.search;
   socket = new WebSocket(url);
   socket.onopen = () => {
@@ -153,15 +162,16 @@ function connect() {
     const m = JSON.parse(event.data);
     if (heard[m.type]) heard[m.type](m);
   };
-  socket.onclose = event => {
-    const wait = Math.min(4, .5 * 2 ** tries++);
-    drag = null; target = null; clutch = mute = false; pressed(false);
-    connection(`not connected, next try in ${wait} s`);
-    if (was || tries === 2 || event.reason) say("error", event.reason || "The server does not answer: it has ended, or the connection is cut. " +
-      "Start it again with `teleop demo --page`, and this page comes back by itself.");
-    dirty = true;
-    setTimeout(connect, wait * 1e3);
-  };
+  socket.onclose = event => closed(event.reason);
+}
+function closed(reason) {
+  const wait = Math.min(4, .5 * 2 ** tries++);
+  drag = null; target = null; clutch = mute = false; pressed(false);
+  connection(`not connected, next try in ${wait} s`);
+  if (was || tries === 2 || reason) say("error", reason || "The server does not answer: it has ended, or the connection is cut. " +
+    "Start it again with `teleop demo --page`, and this page comes back by itself.");
+  dirty = true;
+  setTimeout(connect, wait * 1e3);
 }
 
 /* -- law, link, buttons ------------------------------------------------------------------------------------------- */

@@ -9,7 +9,7 @@ import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
-from hmac import compare_digest
+from hmac import compare_digest, new
 from http import HTTPStatus
 from typing import Any, NamedTuple, Protocol
 from urllib.parse import parse_qs, urlsplit
@@ -27,6 +27,7 @@ from teleop.storage.strict_json import Check, Misshapen, list_of, optional, pars
 METHODS = ("GET", "HEAD")
 HOST = "127.0.0.1"  # where the page listens
 _HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?", re.IGNORECASE)
+_NONCE = re.compile(r"[0-9a-f]{32}")
 _INLINE = {"script-src": re.compile(rb"<script[^>]*>(.*?)</script>", re.DOTALL),
            "style-src": re.compile(rb"<style[^>]*>(.*?)</style>", re.DOTALL)}
 
@@ -41,6 +42,9 @@ class HttpResponse(NamedTuple):
 
 class Requests:
     """Rules for requests: the page is at `/`, its socket at `/ws`, both with the token of the printed address.
+
+    A page that comes back after its socket was closed asks `/proof` first: only a server that knows the token can
+    answer. Whoever else listens at the port by then, of the users of this machine, is not sent the token.
 
     Only a browser on this machine may ask, or one behind `ssh -L`, whose port may differ. So the host must be a name of
     this machine, which a page of another site cannot have (DNS rebinding), and a socket must be opened by a page of the
@@ -60,9 +64,12 @@ class Requests:
                                                    "`teleop demo --page` printed, from elsewhere through ssh -L")
         try:
             url = urlsplit(target)
-            token = parse_qs(url.query, max_num_fields=10).get("token", [""])[-1]
+            query = parse_qs(url.query, max_num_fields=10)
         except ValueError:
             return _sentence(HTTPStatus.BAD_REQUEST, "this is no address; open the one that was printed")
+        token, nonce = (query.get(name, [""])[-1] for name in ("token", "nonce"))
+        if url.path == "/proof" and _NONCE.fullmatch(nonce):
+            return _text(HTTPStatus.OK, new(self._token, f"proof {nonce}".encode(), sha256).hexdigest())
         if url.path not in ("/", "/ws"):
             return _sentence(HTTPStatus.NOT_FOUND, "there is nothing here but the page; open the address printed")
         if not compare_digest(token.encode(errors="surrogatepass"), self._token):
@@ -93,8 +100,12 @@ _ALWAYS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"
            "Cross-Origin-Resource-Policy": "same-origin"}
 
 
+def _text(status: HTTPStatus, text: str) -> HttpResponse:
+    return HttpResponse(status, {"Content-Type": "text/plain; charset=utf-8", **_ALWAYS}, text.encode())
+
+
 def _sentence(status: HTTPStatus, sentence: str) -> HttpResponse:
-    return HttpResponse(status, {"Content-Type": "text/plain; charset=utf-8", **_ALWAYS}, f"{sentence}\n".encode())
+    return _text(status, f"{sentence}\n")
 
 
 def _hash(inline: bytes) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import hmac
 import json
 import os
 import subprocess
@@ -63,6 +64,20 @@ def test_without_the_token_it_is_forbidden() -> None:
     for target in ("/", "/?token=", "/?token=b-token", "/?other=a-token", "/?token=%ff", f"/?token={TOKEN}x"):
         assert status(target) == 403, target
         assert status(target.replace("/", "/ws", 1), Origin=f"http://{HOST}", Upgrade="websocket") == 403, target
+
+
+def test_a_server_proves_that_it_knows_the_token_and_does_not_show_it() -> None:
+    def proof(nonce: str, token: str = TOKEN) -> tuple[int, bytes]:
+        answer = Requests(HTML, token).answer(f"/proof?nonce={nonce}", {"Host": HOST})
+        assert answer is not None
+        return int(answer.status), answer.body
+
+    for nonce in ("0" * 32, "0123456789abcdef" * 2):
+        assert proof(nonce) == (200, hmac.digest(TOKEN.encode(), f"proof {nonce}".encode(), "sha256").hex().encode())
+        assert proof(nonce) != proof(nonce, "b-token")
+    for wrong in ("", "0" * 31, "0" * 33, "G" * 32, "\u0660" * 32):
+        assert proof(wrong)[0] == 404, wrong
+    assert status(f"/proof?nonce={'0' * 32}", Host="evil.example") == 403
 
 
 def test_there_is_no_other_file_and_a_socket_is_for_the_page_itself_alone() -> None:

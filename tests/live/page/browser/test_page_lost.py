@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
@@ -29,6 +31,39 @@ def test_a_server_that_is_gone_is_said_and_so_is_its_return(
     assert page.text("#said") == "The demo runs again, and this page shows it."
     page.until(f"row.t !== {t} && rows.length > 10")
     assert page.evaluate("target") is None  # it does not take the hand of a run that it did not drag
+
+
+def test_who_listens_at_the_port_after_the_server_is_not_sent_the_token(
+    server: Callable[..., Mock], tab: Callable[..., Page]
+) -> None:
+    """A page that came back sent it every four seconds to whoever listened there."""
+    asked: list[str] = []
+
+    class Stranger(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(f"{self.path} {self.headers}")
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(b"0" * 64)
+
+        def log_message(self, *_words: object) -> None:
+            pass
+
+    mock = server()
+    page = tab(mock.url)
+    token = mock.url.partition("token=")[2]
+    assert token
+    page.until("rows.length > 10")
+    mock.stop()
+    with ThreadingHTTPServer(("127.0.0.1", mock.port), Stranger) as stranger:
+        threading.Thread(target=stranger.serve_forever, daemon=True).start()
+        until(lambda: len(asked) > 2)
+        stranger.shutdown()
+    assert all(each.startswith("/proof?nonce=") for each in asked)
+    assert token not in "".join(asked)
+    assert len({each.split()[0] for each in asked}) == len(asked), "a proof cannot be used twice"
+    server(port=mock.port)
+    page.until("document.getElementById('conn').textContent === 'connected'")
 
 
 def test_a_server_that_stands_still_is_not_called_connected(mock: Mock, page: Page) -> None:
