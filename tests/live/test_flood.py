@@ -23,7 +23,7 @@ out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 words = [b"", b"GET / HTTP/1.1", b"BT\\x01\\x00" + bytes(96), bytes(1200)]
 port, seconds = map(float, input().split())  # it is up before the run is
 sent, end = 0, time.monotonic() + seconds
-while time.monotonic() < end or sent <= 5000:  # a busy machine throws slowly
+while time.monotonic() < end:
     for word in words * 8:
         out.sendto(word, ("127.0.0.1", int(port)))
     sent += 32
@@ -50,7 +50,7 @@ def test_a_flood_from_a_wrong_address_costs_no_good_packet(
     assert master.end()[0] == slave.end()[0] == 0
     told = summary(tmp_path / "s")
     assert told["status"] == "ok"
-    assert thrown > 5000
+    assert thrown > 1000, "of tens of thousands on a machine that has nothing else to do"
     assert share_received(tmp_path / "m", tmp_path / "s") > 0.95
     assert sum(told["packets"]["fwd"]["rejected"].values()) < 0.01 * thrown
 
