@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 from teleop.errors import enumerated, number_of
 from teleop.protocol.guard import UNNAMED
 from teleop.scene.library import ROOT
-from teleop.sweeps.kernels.compiled import open_to_others
+from teleop.sweeps.kernels.cache_folder import folder as kernels
+from teleop.sweeps.kernels.cache_folder import open_to_others
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import facts, si
 from teleop.version import DISTRIBUTION, __version__
@@ -40,13 +41,6 @@ def version_of(name: str) -> str | None:
         return version(name)
     except PackageNotFoundError:
         return None
-
-
-def kernels() -> Path:
-    """Folder of the compiled kernels."""
-    from teleop.sweeps.kernels.compiled import folder
-
-    return folder()
 
 
 def kernel_files(folder: Path) -> list[Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -192,6 +193,14 @@ def test_it_says_what_is_installed_and_what_is_not(typed: Callable[..., Any], ca
     out = typed("doctor").out
     assert "not installed: pip install 'bilateral-teleop[batch]'" in out
     assert str(cache) in out
+
+
+def test_it_needs_no_numpy_so_it_says_what_is_installed_where_that_cannot_be_loaded() -> None:
+    code = ("import sys; sys.modules['numpy'] = None; from teleop.doctor import command; "
+            "command.measure = lambda: {'error': 'nothing came up'}; print(command.text(command.findings()))")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "matplotlib" in done.stdout
 
 
 def test_it_clears_the_kernels_and_nothing_else(typed: Callable[..., Any], cache: Path) -> None:

@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from teleop.scene.library import ROOT
-from teleop.sweeps.kernels import compiled as kept
-from teleop.sweeps.kernels.compiled import KernelsNotKept, made_private, open_to_others, tell_once
+from teleop.sweeps.kernels import cache_folder
+from teleop.sweeps.kernels.cache_folder import KernelsNotKept, made_private, open_to_others, tell_once
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no owner there")
 KERNELS = "bilateral-teleop/kernels"
@@ -111,7 +111,7 @@ class TestAFolder:
 
 
 def test_that_kernels_are_not_kept_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept, "_warned", set())
+    monkeypatch.setattr(cache_folder, "_warned", set())
     with pytest.warns(KernelsNotKept, match="each process compiles its own: because"):
         tell_once("because")
     with warnings.catch_warnings(record=True) as told:
