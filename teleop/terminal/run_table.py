@@ -72,11 +72,14 @@ def _perceived(result: Result) -> Iterator[str]:
     """Perceived inertia and drag of a free slave, beside the master itself, and perceived stiffness of a contact."""
     got, unit = result.metrics, result.labels.unit
     if "felt_fit" in got and result.ticks * result.dt >= _LEAST_MOTION:
+        # A force k x against a motion at w is, in a fit of mass and drag, a mass of -k/w^2; the hold of a drag B is one
+        # of -B dt/2, and no spring. Nor is there one where the motion grows, or where the fit leaves half unexplained.
+        springs = (got["felt_mass"] < -abs(got["felt_drag"]) * result.dt and got["felt_fit"] > 0.5
+                   and result.status != "diverged")
         yield (f"in free space it adds {got['felt_drag']:.3g} {unit('N s/m')} of drag and {got['felt_mass']:.3g} "
                f"{unit('kg')} of apparent mass to the master (fit {100.0 * got['felt_fit']:.0f} %)"
                + ("" if unit("kg") else f", {MIXED}")
-               # A force k x against a motion at w is, in a fit of mass and drag, a mass of -k/w^2.
-               + ("; less than 0 kg: it pulls back as a spring does" if got["felt_mass"] < 0.0 and unit("kg") else ""))
+               + (f"; less than 0 {unit('kg')}: it pulls back as a spring does" if springs and unit("kg") else ""))
     if "felt_share" in got:
         over = "" if unit("N/m") else f", {MIXED}"
         yield (f"a stiffness of {si(got['felt_stiffness'], unit('N/m'))}, {100.0 * got['felt_share']:.3g} % of what is "

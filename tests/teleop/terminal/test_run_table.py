@@ -62,9 +62,21 @@ class TestTable:
         result = run(load_scene("hard_wall", duration=5.0))
         got = result.metrics
         free, pressed = rows(result)["felt"]
-        assert free.startswith(f"in free space {got['felt_mass']:.3g} kg and {got['felt_drag']:.3g} N s/m beside ")
+        assert free == (f"in free space it adds {got['felt_drag']:.3g} N s/m of drag and {got['felt_mass']:.3g} kg of "
+                        f"apparent mass to the master (fit {100.0 * got['felt_fit']:.0f} %)")
         share = f"{100 * got['felt_share']:.3g} % of what is touched"
         assert pressed == f"a stiffness of {got['felt_stiffness']:.0f} N/m, {share}"
+
+    def test_a_mass_below_zero_is_told_as_a_spring_only_where_it_is_one(self, wave: Result) -> None:
+        """What is left of it is a drag that is held for a tick, a fit that explains little, and a run that diverged."""
+        held, words = -0.5e-3 * 20.0, "it pulls back as a spring does"
+        for mass, fit, status, springs in ((-0.2, 0.9, "ok", True), (held, 1.0, "ok", False), (-0.2, 0.4, "ok", False),
+                                           (-0.2, 0.9, "diverged", False)):
+            fitted = {"felt_mass": mass, "felt_drag": 20.0, "felt_fit": fit}
+            (felt,) = rows(replace(wave, status=status, metrics=fitted))["felt"]
+            assert f"20 N s/m of drag and {mass:.3g} kg of apparent mass" in felt
+            assert felt.endswith(f"; less than 0 kg: {words}") == springs
+            assert (words in felt) == springs
 
     def test_leaves_out_what_the_scene_or_the_run_does_not_have(self, wave: Result) -> None:
         told = rows(run(load_scene("canonical", duration=0.1, link=None, energy=False)))
