@@ -36,9 +36,7 @@ LATEST = 1e9  # s, of a stored trace: the longest run with the greatest dt
 
 def versions(*also: str) -> dict[str, str]:
     """The versions that a document says it was made by: of this package, Python, numpy, and the packages `also`."""
-    import numpy
-
-    versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": numpy.__version__}
+    versions = {"bilateral-teleop": __version__, "python": sys.version.split()[0], "numpy": np.__version__}
     if also:
         from importlib.metadata import version
 
@@ -93,7 +91,7 @@ class Result:
                 *[("note", note) for note in self.notes]]
         cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows)
         table = f"<table><caption>{escape(self.scene)}, {self.mode}, seed {self.seed}</caption>{cells}</table>"
-        return table if strips_of is None else strips_of(self) + table
+        return strips_of(self) + table if strips_of is not None and self.trace else table
 
     @property
     def labels(self) -> AxisLabels:
@@ -151,7 +149,6 @@ def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
 def write_arrays(file: BinaryIO, arrays: Mapping[str, Any]) -> None:
     """Write arrays to a file as `numpy.savez` does, with one of them in memory at a time."""
     from zipfile import ZIP_STORED, ZipFile
-
 
     with ZipFile(file, "w", ZIP_STORED, allowZip64=True) as archive:
         for name in arrays:

@@ -168,6 +168,7 @@ class TestInPython:
     ) -> None:
         pytest.importorskip("matplotlib")
         assert wan._repr_html_().count("<svg") >= 3
+        assert replace(wan, trace={})._repr_html_().startswith("<table>")
         monkeypatch.setattr("teleop.terminal.plotting.find_spec", lambda _: None)
         page = wan._repr_html_()
         assert "<svg" not in page
