@@ -167,7 +167,6 @@ def _devices(ends: str) -> Callable[[], Words]:
 def _metrics() -> Words:
     from teleop.simulation.metrics import METRICS
 
-
     return {name: f"{one.unit}, {one.meaning}" for name, one in METRICS.items()}
 
 

@@ -21,6 +21,7 @@ from teleop.terminal.table import PREFIX
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
 BINS = 400  # at most, of equal length, along the time axis: each is about two pixels wide
 # A curve that goes up and down within its bins so often that its path is this many times their ranges would be drawn as
 # a filled area. Measured of the forces of built-in scenes: 1.0 to 1.6 without loss and jitter, 1.9 to 9 with them.

@@ -145,7 +145,6 @@ def _bracket(linear: LinearScene, resting: int) -> tuple[float, float] | None:
 
 def _root(linear: LinearScene, low: float, high: float) -> complex | None:
     """The root with log |z| between low and high."""
-
     loop = sampled_loop(linear, exp(low))
     low, high = log(reach(exp(low))), log(reach(exp(high)))  # where the roots were counted
     room = 0.01 * (high - low) + 1e-12
@@ -219,7 +218,6 @@ def _nearest_log(loop: Loop, at: Points, guess: Points) -> Points:
 
 def _newton(linear: LinearScene, rate: complex) -> complex | None:
     """The zero of the loop's determinant that Newton's method comes to from `rate` = log z."""
-
     (first, second), d = _in_order(linear), linear.round_trip
     n, m, q = len(first.A), len(second.A), first.D.shape[1]
     zero = np.zeros((m, n))

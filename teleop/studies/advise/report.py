@@ -302,7 +302,6 @@ def _against(law: LawAdvice, best: LawAdvice | None) -> list[str]:
     words = {
         "tracking": f"tracks poorly, {_si(score, SCENE, 'x_err_rms')} rms",
         "drag": f"drags, {_si(score, FREE, 'f_m_max')} in free space",
-        "touch": f"presses less, {_si(score, SCENE, 'f_env_end')}{steady}",
         "feel": f"is {'hardly felt' if score.terms.get('feel', 0.0) > HALF else 'felt less'}, "
                 f"{_si(score, SCENE, 'f_m_end')}{steady} at the hand",
         "rough": f"is rough, its force on the hand changes by {_si(score, SCENE, 'jerk_rms')} rms",

@@ -143,14 +143,11 @@ def picture(table: Table, folder: Path, content: Mapping[str, Any], request: Pic
                 formats=formats)
 
 
-UNBOUNDED = 1e6  # m: a scene's own x_limit, which bounds nothing that moves
-
-
 def words_of(content: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:
     """Words of a legend for each status, with the bounds that all rows had; `units` as `knob_units` gives them."""
     limits, unit = content.get("limits") or {}, units.get("x_limit", "m")
     words = {}
-    bounded = limits.get("x_limit", UNBOUNDED) < UNBOUNDED
+    bounded = limits.get("x_limit", Scene.x_limit) < Scene.x_limit  # a scene's own bounds nothing that moves
     if bounded:
         words["diverged"] = f"diverged: beyond x_limit = {limits['x_limit']:g} {unit}"
     if "duration" in limits:
