@@ -46,8 +46,9 @@ def test_the_curves_of_an_analysis_have_lengths_of_their_own_and_may_be_complex(
     got = read_arrays(saved(tmp_path / "curves.npz", **arrays), None)
     assert {name: (each.dtype, each.tobytes()) for name, each in got.items()} == {
         name: (each.dtype, each.tobytes()) for name, each in arrays.items()}
-    for wrong in (np.zeros((2, 2, 2, 2)), np.array(1.0), np.array([object()])):
-        with pytest.raises(Misshapen):
+    for wrong, why in ((np.zeros((2, 2, 2, 2)), "curves have 1 to 3"), (np.array(1.0), "curves have 1 to 3"),
+                       (np.array([object()]), "holds object")):
+        with pytest.raises(Misshapen, match=why):
             read_arrays(saved(tmp_path / "curves.npz", wrong=wrong), None)
 
 
