@@ -358,7 +358,6 @@ def _stamped(trace: Mapping[str, Any], way: str, e: str, dt: float) -> float:
     return float(np.min(least)) if least else 0.0
 
 
-
 def quaternions(trace: Mapping[str, Any], e: str) -> list[NDArray[np.float64]]:
     """The orientation of each rotation of an end, m or s, as (w, x, y, z) in rows: of shape (4, ticks)."""
     numbers = takewhile(lambda n: f"qw{n}_{e}" in trace, ("" if i == 1 else str(i) for i in count(1)))
