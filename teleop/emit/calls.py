@@ -46,7 +46,7 @@ class Calls(CExpressions):
             raise self.refused(f"{ast.unparse(node)} is of no NamedTuple")
         fields = dict(zip(of_class._fields, self.parts(value), strict=True))
         fields.update({str(each.arg): self.evaluate(each.value) for each in node.keywords})
-        return self.kept(TupleParts(tuple(fields.values()), of_class), value)
+        return self.made_of(TupleParts(tuple(fields.values()), of_class), value)
 
     def apply(self, function: Any, arguments: list[Value], keywords: dict[str, Value]) -> Value:
         """A call of a thing of Python."""
@@ -98,7 +98,7 @@ class Calls(CExpressions):
     _list = _tuple
 
     def _len(self, value: Value) -> Value:
-        return self.kept(Known(len(self.parts(value))), value)
+        return self.made_of(Known(len(self.parts(value))), value)
 
     def _zip(self, *values: Value) -> Value:
         return TupleParts(tuple([TupleParts(row) for row in zip(*map(self.parts, values), strict=False)]))

@@ -277,19 +277,19 @@ class CExpressions(ABC):
             if not all(each is None or isinstance(each, Known) for each in ends):
                 raise self.refused(f"{ast.unparse(node)} has an end that is not known when it is printed")
             made = TupleParts(self.parts(inner)[slice(*[None if each is None else each.value for each in ends])])
-            return self.kept(made, inner)
+            return self.made_of(made, inner)
         at = self.evaluate(node.slice)
         if isinstance(inner, Known) and isinstance(at, Known):
             return Known(inner.value[at.value])
         if isinstance(at, Known):
-            return self.kept(self.parts(inner)[at.value], inner)
+            return self.made_of(self.parts(inner)[at.value], inner)
         printed = self.whole(inner)
         if not isinstance(printed.type, Array) or printed.type.bare:
             raise self.refused(f"{ast.unparse(node)} takes a part of unlike ones by a number that is not known")
         index = self.helper("py_index", bare(self.to(at, INT)), str(printed.type.count), faults=True)
         return Printed(printed.type.of, f"{printed.text}.at[{index}]")
 
-    def kept(self, value: Value, *of: Value) -> Value:
+    def made_of(self, value: Value, *of: Value) -> Value:
         """A value that is made of these, refused where what it leaves out may fault."""
         text = " ".join(texts_of(value))
         for each in of:

@@ -72,7 +72,7 @@ class Program:
         if not isinstance(line, ast.Return) or line.value is None:
             raise caller.refused(f"{function.__qualname__} has a starred argument and lines of its own")
         inner.known = dict(zip(function.__code__.co_varnames, values, strict=False))
-        answer = inner.kept(inner.evaluate(line.value), *values)
+        answer = inner.made_of(inner.evaluate(line.value), *values)
         caller.faults = caller.faults or inner.faults
         return answer
 

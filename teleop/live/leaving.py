@@ -59,7 +59,7 @@ async def let_go(shell: Shell) -> None:
     seen = began  # when it was last read
     ring = asyncio.Event()
     alarm = Alarm(asyncio.get_running_loop(), ring.set)
-    alarm.set(began + endpoint.own.dt_ns, endpoint.own.dt_ns)
+    alarm.set(began + endpoint.end_scene.dt_ns, endpoint.end_scene.dt_ns)
     try:
         now, passed, reading = began, 1, None  # that of this tick has been used
         while True:
@@ -72,7 +72,7 @@ async def let_go(shell: Shell) -> None:
             await ring.wait()
             ring.clear()
             before, now = now, time.monotonic_ns()
-            passed = max(1, round((now - before) / endpoint.own.dt_ns))
+            passed = max(1, round((now - before) / endpoint.end_scene.dt_ns))
             k += passed * endpoint.every
             reading = None if shell.outcome.status == "diverged" else device.read(k, now)
             seen = seen if reading is None else now

@@ -174,7 +174,7 @@ class Shell:
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
         self.report: Callable[[Event], None] = lambda _event: None  # takes each event as it is recorded
         self.orders: Orders | None = None  # where they come in, if it takes any
-        self._share_ns = int(endpoint.own.dt_ns * SHARE)
+        self._share_ns = int(endpoint.end_scene.dt_ns * SHARE)
 
     def go_on(self, endpoint: Endpoint, recorder: RecordWriter, counts: EndCounts) -> None:
         """Go on with another endpoint of the same session, grid and device: see `teleop.live.turning`."""
@@ -336,5 +336,5 @@ class Shell:
         missed = f", {counts.skipped} of them skipped" if counts.skipped else ""
         joined = f"joined at t = {counts.first * scene.dt_ns / 1e9:.3f} s and " if counts.first else ""
         due = -(-(scene.ticks - counts.first) // self.endpoint.every)
-        ran = f"{joined}ran to its end, {number_of(due, 'tick')} of {self.endpoint.own.dt:g} s"
+        ran = f"{joined}ran to its end, {number_of(due, 'tick')} of {self.endpoint.end_scene.dt:g} s"
         self.outcome.end("ok", ran + missed)

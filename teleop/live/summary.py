@@ -76,7 +76,7 @@ def _result(shell: Shell, folder: Path, seed: int) -> Result:
              clock_note(endpoint.link),
              sums_note(endpoint.rejected["integrals"], NAMES["s" if endpoint.e == "m" else "m"]),
              reading_note(shell.counts.in_read, shell.counts.longest_read, total),
-             missed_note(shell.counts.skipped, total, endpoint.own, scheduling)]
+             missed_note(shell.counts.skipped, total, endpoint.end_scene, scheduling)]
     return end_result(
         scene, endpoint.e, record, late,
         Ending(shell.outcome.status, shell.outcome.sentence, notes=tuple(filter(None, notes))), seed=seed,

@@ -179,8 +179,8 @@ class Endpoint:
         self.message_failed = False  # was the law's message not finite, and so not sent
         self.stamp_margin: float | None = None  # smallest of (sender's stamp) - (energy received here), J
         self.every = session.every
-        self.own = replace(scene, dt=scene.dt * self.every) if self.every != 1 else scene
-        dt = self.own.dt_ns / 1e9
+        self.end_scene = replace(scene, dt=scene.dt * self.every) if self.every != 1 else scene
+        dt = self.end_scene.dt_ns / 1e9
         self.format = MessageFormat(scene, e, dt)
         self.guard = ForceGuard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
         # What came last is played so long after it was sent: until then there is a force, which no session may cut off.
@@ -211,7 +211,7 @@ class Endpoint:
             raise Refused(why)
         if getattr(structure_of(scene), e).has.sensed and not sensor:
             raise Refused(_no_force(scene, e))
-        law = self._law = EndLaw(self.own, e, sensor, self._origin)
+        law = self._law = EndLaw(self.end_scene, e, sensor, self._origin)
         self.places = law.places
         self._switches = SwitchEvents(scene, law.names) if "clutch_m" in law.names else None
 
@@ -378,7 +378,7 @@ class Endpoint:
         """Let a slave's grid follow the master's, whose clock may go at another rate."""
         wanted, reception = -self.link.clock.shift_ns, self._reception
         if self.session.start_ns is not None and wanted != reception.shift_ns and not self.stepped:
-            most = self.own.dt_ns // SLEW
+            most = self.end_scene.dt_ns // SLEW
             step = max(-most, min(most, wanted - reception.shift_ns))
             reception.shift_ns += step
             self.session.start_ns += step

@@ -106,8 +106,8 @@ def _head(stream: IO[bytes], part: ZipInfo, name: str, rows: int | None) -> tupl
     most = 2 if rows is not None else 3
     if not 1 <= len(shape) <= most or rows not in (None, shape[0]) or not all(
             1 <= each <= MOST_AXES for each in shape[1:]):
-        asked = f"the run has {rows} rows" if rows is not None else "curves have 1 to 3 dimensions"
-        raise Misshapen(f"{name} is of shape {shape}, and {asked}")
+        expected = f"the run has {rows} rows" if rows is not None else "curves have 1 to 3 dimensions"
+        raise Misshapen(f"{name} is of shape {shape}, and {expected}")
     count = prod(shape)
     if part.file_size - stream.tell() != count * dtype.itemsize:
         raise Misshapen(f"{name} is of another size than its head says")

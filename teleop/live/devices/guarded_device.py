@@ -60,9 +60,10 @@ def deadline_of(device: LiveDevice, endpoint: Endpoint) -> float | None:
     if deadline is None or endpoint.stepped:
         return None
     number("a device's deadline", deadline, above=0.0)
-    if endpoint.own.dt > deadline / 2:
+    if endpoint.end_scene.dt > deadline / 2:
         raise Refused(f"the device's force lapses after {deadline:g} s, and this end would renew it every "
-                      f"{endpoint.own.dt:g} s; tick at least every {deadline / 2:g} s, by --rate or the scene's dt")
+                      f"{endpoint.end_scene.dt:g} s; tick at least every {deadline / 2:g} s, by --rate or the "
+                      "scene's dt")
     return deadline
 
 
