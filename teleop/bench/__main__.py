@@ -212,7 +212,7 @@ def _numbers(text: str) -> list[float]:
 BENCHES = {
     "virtual": "virtual", "playout": "laws", "laws": "laws", "sweep": "sweep", "scale": "sweep", "own_laws": "sweep",
     "rivals": "rivals", "live": "live", "page": "page", "cost": "cost", "secure": "secure", "flood": "flood",
-    "export": "export", "timing": "timing", "watchdog": "watchdog", "mujoco": "virtual",
+    "export": "export", "timing": "timing", "watchdog": "watchdog", "mujoco": "virtual", "emit": "emit",
 }
 """The module of each bench, a function of its name there; it is loaded when the bench runs."""
 

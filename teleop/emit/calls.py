@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 import re
 from contextlib import suppress
 from dataclasses import is_dataclass
@@ -12,8 +13,8 @@ from types import FunctionType, MethodType
 from typing import Any
 
 from teleop.emit.expressions import CExpressions, bare
-from teleop.emit.primitives import INTEGERS, PRIMITIVES, REALS, REFUSED
-from teleop.emit.types import BOOL, DOUBLE, INT, NOTHING, MethodOf, Printed, TupleParts, Value
+from teleop.emit.primitives import PRIMITIVES, REFUSED
+from teleop.emit.types import BOOL, DOUBLE, INT, NOTHING, REALS, MethodOf, Printed, TupleParts, Value
 from teleop.simulation.expressions import Known
 
 FOLDED = (range, len, zip, enumerate, reversed, float, int, bool, abs, min, max, tuple, list)
@@ -118,8 +119,8 @@ class Calls(CExpressions):
 
     def _abs(self, value: Value) -> Value:
         printed = self.whole(value)
-        if printed.type == DOUBLE:
-            return Printed(DOUBLE, f"fabs{self.program.suffix}({bare(printed.text)})")
+        if printed.type in REALS:
+            return Printed(printed.type, f"fabs{self.program.suffix}({bare(printed.text)})")
         return self.extreme(max, [printed, self.binary(ast.Sub(), Known(0), printed)])
 
     def _bool(self, value: Value) -> Value:
@@ -130,10 +131,9 @@ class Calls(CExpressions):
 
     def _int(self, value: Value) -> Value:
         printed = self.whole(value)
-        if printed.type != DOUBLE:
+        if printed.type not in REALS:
             return Printed(INT, self.to(printed, INT))
-        text = bare(printed.text)
-        return Printed(DOUBLE, self.helper("py_whole", f"trunc{self.program.suffix}({text})", text, faults=True))
+        return self.primitive(math.trunc, [printed])
 
     def extreme(self, function: Any, arguments: list[Value]) -> Value:
         """The least or the greatest, asked from left to right as Python does."""
@@ -143,8 +143,9 @@ class Calls(CExpressions):
             if isinstance(made, Known) and isinstance(each, Known):
                 made = Known(function(made.value, each.value))
                 continue
-            kind = self.types.join(self.joined(made, each), INT)
-            name = (INTEGERS if kind == INT else REALS)[function]
+            joined = self.joined(made, each)
+            kind = INT if joined == BOOL else joined
+            name = ("py_imin" if kind == INT else "py_min").replace("min", function.__name__)
             made = Printed(kind, self.helper(name, bare(self.to(made, kind)), bare(self.to(each, kind))))
         return made
 
@@ -166,7 +167,8 @@ class Calls(CExpressions):
         self.faults = self.faults or made.faults
         if made.gives == NOTHING:
             return TupleParts(())
-        texts = [bare(each.text) for each in settled if isinstance(each, Printed) and each.type != NOTHING]
+        passed = [each for each in settled if isinstance(each, Printed) and each.type != NOTHING]
+        texts = [bare(self.to(each, kind)) for each, kind in zip(passed, made.takes, strict=True)]
         return Printed(made.gives, f"{made.name}({', '.join([*texts, *['fault'] * made.faults])})")
 
     def argument(self, value: Value) -> Value:

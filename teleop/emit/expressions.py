@@ -14,6 +14,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import reduce
 from inspect import getattr_static
 from itertools import groupby
 from types import FunctionType
@@ -25,8 +26,11 @@ from teleop.emit.types import (
     DOUBLE,
     INT,
     KEYWORDS,
+    MIXED,
     NOTHING,
+    REALS,
     SCALARS,
+    WHOLE,
     Array,
     MethodOf,
     NotPrinted,
@@ -175,7 +179,9 @@ class CExpressions(ABC):
         if kind == BOOL:
             return self.truth(printed)
         if printed.type in SCALARS and kind in SCALARS:
-            if printed.type == DOUBLE and kind == INT:
+            if printed.type in REALS and kind in REALS:
+                return printed.text
+            if printed.type in REALS:
                 return self.helper("py_count", bare(printed.text), faults=True)
             return f"({self.types.c(kind)}){printed.text}"
         if isinstance(printed.type, Struct | Array) and is_record and len(
@@ -193,7 +199,7 @@ class CExpressions(ABC):
         printed = self.whole(value)
         if printed.type == BOOL:
             return printed.text
-        if printed.type in (INT, DOUBLE):
+        if printed.type in SCALARS:
             return f"({printed.text} != {self.number(0, printed.type)})"
         raise self.refused("a tuple is no condition in C; compare numbers")
 
@@ -342,7 +348,9 @@ class CExpressions(ABC):
         printed = self.whole(inner)
         if isinstance(node.op, ast.Invert) or printed.type not in SCALARS:
             raise self.refused(f"{ast.unparse(node)} has no line in C")
-        kind = DOUBLE if printed.type == DOUBLE else INT
+        kind = self.types.join(printed.type, INT) if printed.type != DOUBLE else DOUBLE
+        if isinstance(node.op, ast.USub) and kind in (WHOLE, MIXED):
+            return self.binary(ast.Mult(), Known(-1), printed)
         sign = "-" if isinstance(node.op, ast.USub) else "+"
         return Printed(kind, f"({sign}{self.to(printed, kind)})", printed.fixed)
 
@@ -360,17 +368,19 @@ class CExpressions(ABC):
             if isinstance(op, ast.Mult) and isinstance(right, Known):
                 return TupleParts(self.parts(left) * right.value)
             raise self.refused(f"tuples with {type(op).__name__} between them have no line in C")
-        kind = self.types.join(self.joined(left, right), INT)
+        kind = self.answers(op, left, right)
         if type(op) in SIGNS:
-            return Printed(kind, f"({self.to(left, kind)} {SIGNS[type(op)]} {self.to(right, kind)})")
+            text = f"{self.to(left, kind)} {SIGNS[type(op)]} {self.to(right, kind)}"
+            return Printed(kind, self.helper("py_whole", text, faults=True) if kind == WHOLE else f"({text})")
         if isinstance(op, ast.Div):
             a, b = self.to(left, DOUBLE), self.to(right, DOUBLE)
             if isinstance(right, Known) and right.value != 0:
                 return Printed(DOUBLE, f"({a} / {b})")
             return Printed(DOUBLE, self.helper("py_div", bare(a), bare(b), faults=True))
         if isinstance(op, ast.Mod):
-            return Printed(kind, self.helper("py_imod" if kind == INT else "py_mod", bare(self.to(left, kind)),
-                                             bare(self.to(right, kind)), faults=True))
+            rest = self.helper("py_imod" if kind == INT else "py_mod", bare(self.to(left, kind)),
+                               bare(self.to(right, kind)), faults=True)
+            return Printed(kind, self.helper("py_whole", rest, faults=True) if kind == WHOLE else rest)
         if isinstance(op, ast.BitAnd | ast.BitOr) and self.joined(left, right) == BOOL:
             return self.both(left, right, "&" if isinstance(op, ast.BitAnd) else "|")
         if isinstance(op, ast.FloorDiv) and kind == INT:
@@ -381,6 +391,15 @@ class CExpressions(ABC):
         instead = {ast.Pow: "`**` is rounded otherwise from one libm to the next; write x * x",
                    ast.FloorDiv: "`//` has no line in C; write floor(a / b)"}
         raise self.refused(instead.get(type(op), f"{type(op).__name__} has no line in C"))
+
+    def answers(self, op: ast.operator, left: Value, right: Value) -> Any:
+        """The type of two numbers with an operator between them."""
+        kinds = [self.whole(each).type for each in (left, right)]
+        kind = DOUBLE if DOUBLE in kinds else reduce(self.types.join, kinds, INT)
+        signs = [right] if isinstance(op, ast.Mod) else [left, right] if isinstance(op, ast.Mult) else []
+        if kind == MIXED and signs and not any(isinstance(each, Known) and each.value > 0 for each in signs):
+            raise self.refused("the sign of a 0 that is once a whole number and once a float; write 0.0")
+        return kind
 
     def both(self, left: Value, right: Value, sign: str) -> Printed:
         """Two truths with & or | between them: unlike `and` and `or`, they are both worked out, with their faults."""

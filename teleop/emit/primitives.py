@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from teleop.emit.types import BOOL, DOUBLE
+from teleop.emit.types import BOOL, DOUBLE, WHOLE
 from teleop.stages import memory
 
 FAULTS = {"DIVISION": "a division by zero", "DOMAIN": "a function outside its domain, as the root of -1",
@@ -53,10 +53,10 @@ HELPERS = {
     q = a / b;
     return a % b != 0 && (a < 0) != (b < 0) ? q - 1 : q;
 }""",
-    "py_whole": """static REAL py_whole(REAL rounded, REAL a, unsigned *fault)
+    "py_whole": """static REAL py_whole(REAL a, unsigned *fault)
 {
     if (!isfinite(a)) *fault |= PRE_DOMAIN;
-    return rounded + 0.0@; /* 0 for -0.0, as Python's int has it */
+    return a + 0.0@; /* 0 for -0.0, as Python's int has it */
 }""",
     "py_count": """static int64_t py_count(REAL a, unsigned *fault)
 {
@@ -96,9 +96,9 @@ PRIMITIVES: dict[Callable[..., Any], Primitive] = {
     math.sqrt: Primitive("py_sqrt({0}, fault)", helper="py_sqrt", faults=True),
     math.fabs: Primitive("fabs@({0})"),
     math.copysign: Primitive("copysign@({0}, {1})"),
-    math.floor: Primitive("py_whole(floor@({0}), {0}, fault)", helper="py_whole", faults=True),
-    math.ceil: Primitive("py_whole(ceil@({0}), {0}, fault)", helper="py_whole", faults=True),
-    math.trunc: Primitive("py_whole(trunc@({0}), {0}, fault)", helper="py_whole", faults=True),
+    math.floor: Primitive("py_whole(floor@({0}), fault)", gives=WHOLE, helper="py_whole", faults=True),
+    math.ceil: Primitive("py_whole(ceil@({0}), fault)", gives=WHOLE, helper="py_whole", faults=True),
+    math.trunc: Primitive("py_whole(trunc@({0}), fault)", gives=WHOLE, helper="py_whole", faults=True),
     math.isfinite: Primitive("(bool)isfinite({0})", gives=BOOL),
     math.isnan: Primitive("(bool)isnan({0})", gives=BOOL),
     math.isinf: Primitive("(bool)isinf({0})", gives=BOOL),
@@ -124,5 +124,3 @@ REFUSED: dict[Any, str] = {  # what has no line of C, and what to write instead
     math.fmod: "`fmod` has no line in C; write %",
     memory.ring: "a ring of messages has no line in C; keep a tuple in the state",
 }
-INTEGERS = {min: "py_imin", max: "py_imax"}
-REALS = {min: "py_min", max: "py_max"}

@@ -11,7 +11,7 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 from teleop.emit.calls import Calls
-from teleop.emit.expressions import WORDS, CExpressions, bare, c_word
+from teleop.emit.expressions import NUMBERS, WORDS, CExpressions, bare, c_word
 from teleop.emit.primitives import HELPERS
 from teleop.emit.types import INT, NOTHING, Array, Printed, TupleParts, Types, Value
 from teleop.simulation.expressions import Known, NotSpecialised, functions_in
@@ -27,9 +27,10 @@ class Line(NamedTuple):
 
 
 class CFunction(NamedTuple):
-    """A function of C: its name, what it gives, whether it may fault, and its text."""
+    """A function of C: its name, what it takes and gives, whether it may fault, and its text."""
 
     name: str
+    takes: tuple[Any, ...]  # the types of its arguments
     gives: Any
     faults: bool
     text: str
@@ -152,28 +153,29 @@ class Statements(Calls):
         code = self.function.__code__
         body, doc, first = self.definition()
         names = code.co_varnames[:code.co_argcount]
-        known: dict[str, Value] = {}
-        parameters = []
-        for word, value in zip(names, arguments, strict=True):
-            known[word] = value
-            if isinstance(value, Printed) and value.type != NOTHING:
-                known[word] = Printed(value.type, c_word(word))
-                self.kinds[word] = value.type
-                parameters.append((f"{self.types.c(value.type)} {c_word(word)}", c_word(word)))
+        known = dict(zip(names, arguments, strict=True))
+        parameters = {word: c_word(word) for word, value in known.items()
+                      if isinstance(value, Printed) and value.type != NOTHING}
+        self.kinds.update({word: known[word].type for word in parameters})
         for _ in range(8):
             before = dict(self.kinds), self.gives
-            self.start(known, body)
+            self.start({**known, **{word: Printed(self.kinds[word], parameters[word]) for word in parameters}}, body)
+            for word, value in known.items():
+                if isinstance(value, Known) and word in stores(body):
+                    self.set_name(word, value)
             self.block(body)
             if before == (self.kinds, self.gives):
                 break
         self.gives = NOTHING if self.gives is None else self.gives
-        text = self.rendered(where=first, skip={word for _, word in parameters})
-        unread = [f"    (void){word};\n" for _, word in parameters if not re.search(rf"\b{re.escape(word)}\b", text)]
-        heads = [head for head, _ in parameters] + ["unsigned *fault"] * self.faults
+        text = self.rendered(where=first, skip={*parameters.values()})
+        unread = [f"    (void){word};\n" for word in parameters.values() if word not in words_of(text)]
+        takes = tuple([self.kinds[word] for word in parameters])
+        heads = [f"{self.types.c(kind)} {word}" for kind, word in zip(takes, parameters.values(), strict=True)]
+        heads += ["unsigned *fault"] * self.faults
         place = f"{short(self.file)}:{first}"
         text = (f"/* {place}{': ' * bool(doc)}{doc.replace('*/', '')} */\nstatic "
                 f"{self.types.c(self.gives)} {name}({', '.join(heads) or 'void'})\n{{\n{''.join(unread)}{text}\n}}\n")
-        return CFunction(name, self.gives, self.faults, text)
+        return CFunction(name, takes, self.gives, self.faults, text)
 
     def start(self, known: dict[str, Value], body: list[ast.stmt]) -> None:
         """Begin once more, with the types that variables have by now."""
@@ -303,14 +305,16 @@ class Statements(Calls):
 
     def set_name(self, name: str, value: Value) -> None:
         """Set a variable."""
-        if isinstance(value, Known) and not isinstance(value.value, bool | int | float | tuple):
-            if self.depth > 1 and self.known.get(name) != value:
-                raise self.refused(f"{name} is {value.value!r:.40}, which no variable of C can hold under an `if`")
-            self.known[name] = value
-            return
-        printed = self.whole(value)
+        now, is_text = self.known.get(name), isinstance(value, Known) and not isinstance(value.value, (*NUMBERS, tuple))
+        printed = Printed(NOTHING, "") if is_text else self.whole(value)
+        if printed.type == NOTHING and not is_text:
+            value = TupleParts(())
+        unfit = value if is_text or (printed.type == NOTHING and now is not None) else now
+        if self.depth > 1 and now != value and isinstance(unfit, Known | TupleParts):
+            raise self.refused(f"{name} is {getattr(unfit, 'value', ())!r:.40}, which no variable of C can hold under "
+                               "an `if`")
         if printed.type == NOTHING:
-            self.known[name] = TupleParts(())
+            self.known[name] = value
             return
         word = self.words.get(name, name)
         kind = self.types.join(self.kinds.get(word), printed.type)
@@ -380,9 +384,11 @@ class Statements(Calls):
             raise self.refused("`break` and `continue` stand in a loop over a range or a tuple of like numbers")
         for each in self.parts(self.settled(over, stored)):
             self.loops += 1
-            self.bind(line.target, each)
+            (self.assign if stores([line.target]) & stores(line.body) else self.bind)(line.target, each)
             self.block(line.body)
             self.loops -= 1
+        for name in stores([line.target]) if self.depth > 1 else ():
+            self.known.pop(name, None)  # on another way it is what it was before
 
     def range_of(self, node: ast.expr) -> list[Value] | None:
         """The ends of a range with steps of 1."""

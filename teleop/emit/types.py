@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from inspect import getsource
 from math import isnan
 from typing import Any, NamedTuple, get_type_hints
@@ -14,7 +14,9 @@ from teleop.errors import Refused
 from teleop.simulation.expressions import Known
 
 DOUBLE, INT, BOOL, NOTHING = "double", "int64_t", "bool", "void"
-SCALARS = (BOOL, INT, DOUBLE)  # each holds the values of those before it
+WHOLE, MIXED = "whole", "mixed"  # reals of C: an int of Python, as of `floor`, whose 0 has no sign; an int or a float
+REALS = (WHOLE, DOUBLE, MIXED)
+SCALARS = (BOOL, INT, *REALS)  # each holds the values of those before it, but for the zeros
 
 
 KEYWORDS = frozenset(  # of C and C++
@@ -89,7 +91,7 @@ class Types:
         """The name of a type in C."""
         if isinstance(kind, Struct | Array):
             return self.prefix + kind.name
-        return self.real if kind == DOUBLE else str(kind)
+        return self.real if kind in REALS else str(kind)
 
     def struct(self, name: str, members: Mapping[str, Any], of_class: Any = None,
                texts: Mapping[str, Any] | None = None) -> Struct:
@@ -122,6 +124,8 @@ class Types:
             return self.struct(of_class.__name__, dict(zip(of_class._fields, kinds, strict=True)), of_class)
         if not kinds:
             return NOTHING
+        if all(kind in REALS for kind in kinds):
+            kinds = [reduce(self.join, kinds)] * len(kinds)
         if all(kind is kinds[0] or kind == kinds[0] for kind in kinds) and kinds[0] != NOTHING:
             return self.array(kinds[0], len(kinds))
         names = "_".join(kind if isinstance(kind, str) else kind.name for kind in kinds)
@@ -161,7 +165,7 @@ class Types:
         if a is None:
             return b
         if a in SCALARS and b in SCALARS:
-            return max(a, b, key=SCALARS.index)
+            return MIXED if DOUBLE in (a, b) else max(a, b, key=SCALARS.index)
         if isinstance(a, Struct | Array) and isinstance(b, Struct | Array):
             of_class = getattr(a, "of_class", None)
             mine, theirs = parts_of(a), parts_of(b)
@@ -180,7 +184,7 @@ class Types:
             parts = [self.literal(each, of) for each, of in zip(values, kind.members.values(), strict=True)
                      if of != NOTHING]
             return f"{{{', '.join(parts) or '0'}}}"
-        if kind == DOUBLE:
+        if kind in REALS:
             return self.real_number(float(value))
         if kind == BOOL:
             return "true" if value else "false"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,10 @@ def limited(x, low=-1.0, high=1.0):
     if x < low:
         return low
     return high if x > high else x
+def signed(x, sign=1):
+    if x < 0.0:
+        sign = -1.5
+    return sign * x
 @dataclass(frozen=True, kw_only=True)
 class Tried:
     K: float = 100.0
@@ -61,6 +66,11 @@ ALLOWED = {
     "names that C has":
         "i1 = t1 = NAN = at.v; t1, INFINITY = NAN + 1.0, t1 + f\n        for k in range(20): i1 = i1 + k * t1",
     "numbers of them": "fault = i1; fault_ = INFINITY; f = fault + 2.0 * fault_; n_i1 = f",
+    "whole numbers, whose 0 has no sign":
+        "f = f + copysign(1.0, -floor(at.v)) + copysign(2.0, int(at.v) * -1) + copysign(4.0, floor(at.v) % -3)",
+    "arguments that are set under an `if`": "f = f + signed(at.v) + signed(at.x, at.v > 0.0)",
+    "a loop's name that is set under an `if`":
+        "for k in range(3):\n            if at.v > 0.0: k = 7\n            f = f + k * at.x",
     "exp": "f = f + exp(-abs(at.v))",
 }
 REFUSED = {
@@ -70,6 +80,7 @@ REFUSED = {
     "f = log(abs(f) + 1.0, 2.0)": "math.log has no line in C with 2 arguments",
     "f = max(f, at.v, key=abs)": "max has no line in C with key=",
     "f = (f, 1.0 / (at.x + 9.0))[0]": "what may be a division by zero is made and not read; leave it out",
+    "f = -max(0, f)": "the sign of a 0 that is once a whole number and once a float; write 0.0",
     "f = f // 2.0": "`//` has no line in C; write floor(a / b)",
     "f = round(f, 3)": "`round` rounds by the decimal digits; write floor(x + 0.5)",
     "f = f + len(f'{f}')": "an f-string has no line in C",
@@ -105,5 +116,19 @@ def test_what_may_not_is_refused_with_file_line_and_what_to_write(tmp_path: Path
         with pytest.raises(Refused) as refused:
             files(scene_of(line, tmp_path), "m", "m")
         text = str(refused.value)
-        assert f"tried.py:28: Tried.master: {why}" in text, text
+        assert f"tried.py:32: Tried.master: {why}" in text, text
         assert "\n" not in text
+
+
+UNDER_AN_IF = {  # each was another number in C than in Python where the `if` was not taken
+    "m = None\n        if f > 0.0: m = f\n        f = 9.0 if m is None else m": "33: Tried.master: m is None, which no",
+    "t = (f, f)\n        if f > 0.0: t = ()\n        for e in t: f = f + e": "33: Tried.master: t is (), which no",
+    "k = 5\n        if f > 0.0:\n            for k in range(3): f = f + k\n        f = f + k":
+        "35: Tried.master: k is not set on every way to here",
+}
+
+
+def test_a_name_is_set_under_an_if_to_what_a_variable_of_c_can_hold(tmp_path: Path) -> None:
+    for lines, why in UNDER_AN_IF.items():
+        with pytest.raises(Refused, match=re.escape(f"tried.py:{why}")):
+            files(scene_of(lines, tmp_path), "m", "m")

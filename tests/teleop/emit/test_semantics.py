@@ -125,7 +125,7 @@ MISTAKES = {  # of a printer: a helper as somebody would write it who knows C
     "py_max": "static double py_max(double a, double b) { return a > b ? a : b; }",
     "py_mod": "static double py_mod(double a, double b, unsigned *fault) { (void)fault; return fmod(a, b); }",
     "py_imod": "static int64_t py_imod(int64_t a, int64_t b, unsigned *fault) { (void)fault; return a % b; }",
-    "py_whole": "static double py_whole(double y, double a, unsigned *fault) { (void)fault; (void)a; return y; }",
+    "py_whole": "static double py_whole(double a, unsigned *fault) { (void)fault; return a; }",
     "py_index": "static int64_t py_index(int64_t i, int n, unsigned *fault) { return *fault ? n : i < 0 ? 0 : i; }",
 }
 
