@@ -8,10 +8,9 @@ and line, `NotPrinted`.
 from __future__ import annotations
 
 import ast
-import builtins
 import operator
 import re
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import reduce
@@ -42,7 +41,7 @@ from teleop.emit.types import (
     part,
     parts_of,
 )
-from teleop.simulation.expressions import Known
+from teleop.simulation.expressions import Evaluator, Known
 
 LONG = 8  # parts of a tuple beyond which they are copied by a loop
 NUMBERS = (bool, int, float)
@@ -83,26 +82,22 @@ def bare(text: str) -> str:
     return text[1:-1]
 
 
-class CExpressions(ABC):
+class CExpressions(Evaluator[Value]):
     """The expressions of one function; `program` has the types, the helpers and the functions that it calls."""
 
     def __init__(self, program: Any, function: Any) -> None:
         self.program, self.types, self.function = program, program.types, function
         self.file, self.line = function.__code__.co_filename, function.__code__.co_firstlineno
-        self.known: dict[str, Value] = {}  # what each name stands for
+        self.scope: dict[str, Value] = {}  # what each name stands for
         self.faults = False
 
     def refused(self, why: str) -> NotPrinted:
         """The refusal of the line that is being printed."""
         return NotPrinted(f"{self.file}:{self.line}: {self.function.__qualname__}: {why}")
 
-    def evaluate(self, node: Any) -> Value:
-        """Evaluate an expression."""
+    def unwritten(self, node: ast.AST) -> NotPrinted:
         kind = type(node).__name__
-        make: Callable[[Any], Value] | None = getattr(self, f"_{kind}", None)
-        if make is None:
-            raise self.refused(f"{WORDS.get(kind, kind)} has no line in C: {ast.unparse(node)[:60]}")
-        return make(node)
+        return self.refused(f"{WORDS.get(kind, kind)} has no line in C: {ast.unparse(node)[:60]!r}")
 
     # Values
 
@@ -240,22 +235,15 @@ class CExpressions(ABC):
 
     # Names, fields, parts
 
-    def _Constant(self, node: ast.Constant) -> Value:
-        return Known(node.value)
-
     def _Name(self, node: ast.Name) -> Value:
         word, function = node.id, self.function
-        if word in self.known:
-            return self.known[word]
+        if word in self.scope:
+            return self.scope[word]
         if word in function.__code__.co_varnames:
             raise self.refused(f"{word} is not set on every way to here; set it before the `if`")
         if word in function.__code__.co_freevars:
             raise self.refused(f"{word} is a variable of the function around; pass it as an argument")
-        if word in function.__globals__:
-            return Known(function.__globals__[word])
-        if hasattr(builtins, word):
-            return Known(getattr(builtins, word))
-        raise self.refused(f"{word} is not known")
+        return self.around(function, word)
 
     def _Attribute(self, node: ast.Attribute) -> Value:
         inner, word = self.evaluate(node.value), node.attr
@@ -313,29 +301,10 @@ class CExpressions(ABC):
         """The values of an entry of a tuple or of a call."""
         return [*self.parts(self.evaluate(node.value))] if isinstance(node, ast.Starred) else [self.evaluate(node)]
 
-    def _GeneratorExp(self, node: Any) -> Value:
-        loop, made, around = node.generators[0], [], dict(self.known)
-        if len(node.generators) > 1:
-            raise self.refused("a comprehension has one loop in C")
-        for each in self.parts(self.evaluate(loop.iter)):
-            self.bind(loop.target, each)
-            tests = [self.evaluate(test) for test in loop.ifs]
-            if not all(isinstance(test, Known) for test in tests):
-                raise self.refused("the condition of a comprehension is not known when it is printed")
-            if all(test.value for test in tests):
-                made.append(self.evaluate(node.elt))
-        self.known = around
-        return TupleParts(tuple(made))
+    def _GeneratorExp(self, node: ast.GeneratorExp | ast.ListComp) -> Value:
+        return TupleParts(tuple(self.turns(node.elt, node.generators)))
 
     _ListComp = _GeneratorExp
-
-    def bind(self, target: Any, value: Value) -> None:
-        """Let names stand for a value."""
-        if isinstance(target, ast.Name):
-            self.known[target.id] = value
-        else:
-            for each, one in zip(target.elts, self.parts(value), strict=True):
-                self.bind(each, one)
 
     # Operators
 

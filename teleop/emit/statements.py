@@ -11,7 +11,7 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 from teleop.emit.calls import Calls
-from teleop.emit.expressions import NUMBERS, WORDS, CExpressions, bare, c_word
+from teleop.emit.expressions import NUMBERS, CExpressions, bare, c_word
 from teleop.emit.primitives import HELPERS
 from teleop.emit.types import INT, NOTHING, Array, Printed, TupleParts, Types, Value
 from teleop.simulation.expressions import Known, NotSpecialised, functions_in
@@ -72,7 +72,7 @@ class Program:
         line = inner.definition()[0][-1]
         if not isinstance(line, ast.Return) or line.value is None:
             raise caller.refused(f"{function.__qualname__} has a starred argument and lines of its own")
-        inner.known = dict(zip(function.__code__.co_varnames, values, strict=False))
+        inner.scope = dict(zip(function.__code__.co_varnames, values, strict=False))
         answer = inner.made_of(inner.evaluate(line.value), *values)
         caller.faults = caller.faults or inner.faults
         return answer
@@ -122,7 +122,7 @@ class Statements(Calls):
         self.words: dict[str, str] = {}  # of names that stand for another variable by now
         self.depth = 1
         self.loops = 0
-        self.turns = 0
+        self.copies = 0
 
     def definition(self) -> tuple[list[ast.stmt], str, int]:
         """The lines of the function, its docstring and where it begins."""
@@ -163,7 +163,7 @@ class Statements(Calls):
             for word, value in known.items():
                 if isinstance(value, Known) and word in stores(body):
                     self.set_name(word, value)
-            self.block(body)
+            self.body(body)
             if before == (self.kinds, self.gives):
                 break
         self.gives = NOTHING if self.gives is None else self.gives
@@ -179,10 +179,10 @@ class Statements(Calls):
 
     def start(self, known: dict[str, Value], body: list[ast.stmt]) -> None:
         """Begin once more, with the types that variables have by now."""
-        self.known, self.lines, self.declared, self.faults, self.words = dict(known), [], {}, False, {}
+        self.scope, self.lines, self.declared, self.faults, self.words = dict(known), [], {}, False, {}
         self.stores = Counter(each.id for line in body for each in ast.walk(line)
                               if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store))
-        self.depth, self.loops, self.turns = 1, 0, 0
+        self.depth, self.loops, self.copies = 1, 0, 0
 
     def rendered(self, where: int, skip: Set[str] = frozenset(), keep: str = "") -> str:
         """The lines as text, without those that set what nothing reads; `keep` is text that reads variables too."""
@@ -213,20 +213,10 @@ class Statements(Calls):
         """Append a line."""
         self.lines.append(Line(self.depth, text, target, self.line))
 
-    def block(self, body: list[ast.stmt]) -> None:
-        """Print these lines."""
-        for line in body:
-            self.line = line.lineno
-            kind = type(line).__name__
-            make = getattr(self, f"_{kind}", None)
-            if make is None or not isinstance(line, ast.stmt):
-                raise self.refused(f"{WORDS.get(kind, kind)} has no line in C: {ast.unparse(line)[:60]!r}")
-            make(line)
-
     def inner(self, body: list[ast.stmt]) -> None:
         """The lines of a branch or of a loop."""
         self.depth += 1
-        self.block(body)
+        self.body(body)
         self.depth -= 1
 
     def _Pass(self, line: ast.Pass) -> None:
@@ -256,9 +246,9 @@ class Statements(Calls):
     def fresh(self, letter: str) -> str:
         """A name that no variable of Python has."""
         while True:
-            self.turns += 1
-            word = f"{letter}{self.turns}"
-            if not {word, f"n_{word}"} & {*self.stores, *self.known}:
+            self.copies += 1
+            word = f"{letter}{self.copies}"
+            if not {word, f"n_{word}"} & {*self.stores, *self.scope}:
                 return word
 
     def temporary(self, value: Printed) -> Printed:
@@ -305,7 +295,7 @@ class Statements(Calls):
 
     def set_name(self, name: str, value: Value) -> None:
         """Set a variable."""
-        now, is_text = self.known.get(name), isinstance(value, Known) and not isinstance(value.value, (*NUMBERS, tuple))
+        now, is_text = self.scope.get(name), isinstance(value, Known) and not isinstance(value.value, (*NUMBERS, tuple))
         printed = Printed(NOTHING, "") if is_text else self.whole(value)
         if printed.type == NOTHING and not is_text:
             value = TupleParts(())
@@ -314,7 +304,7 @@ class Statements(Calls):
             raise self.refused(f"{name} is {getattr(unfit, 'value', ())!r:.40}, which no variable of C can hold under "
                                "an `if`")
         if printed.type == NOTHING:
-            self.known[name] = value
+            self.scope[name] = value
             return
         word = self.words.get(name, name)
         kind = self.types.join(self.kinds.get(word), printed.type)
@@ -327,7 +317,7 @@ class Statements(Calls):
         text = self.to(value, kind)
         if self.stores[name] != 1 or self.depth > 1 or self.loops:
             self.declared[word] = None
-        self.known[name] = Printed(kind, c_word(word))
+        self.scope[name] = Printed(kind, c_word(word))
         if isinstance(kind, Array):
             self.program.arrays[c_word(word)] = kind
         self.append(bare(text), c_word(word))
@@ -335,7 +325,7 @@ class Statements(Calls):
     def _If(self, line: ast.If) -> None:
         test = self.evaluate(line.test)
         if isinstance(test, Known):
-            self.block(line.body if test.value else line.orelse)
+            self.body(line.body if test.value else line.orelse)
             return
         self.append(f"if ({bare(self.truth(test))}) {{")
         self.inner(line.body)
@@ -385,10 +375,10 @@ class Statements(Calls):
         for each in self.parts(self.settled(over, stored)):
             self.loops += 1
             (self.assign if stores([line.target]) & stores(line.body) else self.bind)(line.target, each)
-            self.block(line.body)
+            self.body(line.body)
             self.loops -= 1
         for name in stores([line.target]) if self.depth > 1 else ():
-            self.known.pop(name, None)  # on another way it is what it was before
+            self.scope.pop(name, None)  # on another way it is what it was before
 
     def range_of(self, node: ast.expr) -> list[Value] | None:
         """The ends of a range with steps of 1."""
@@ -407,7 +397,7 @@ class Statements(Calls):
         if not (isinstance(line.target, ast.Name) and line.target.id == "_"):
             one = Printed(INT, i) if over is None else Printed(over.type.of, f"{over.text}.at[{i}]")
             self.assign(line.target, one)
-        self.block(line.body)
+        self.body(line.body)
         self.depth -= 1
         self.append("}")
         self.loops -= 1

@@ -74,15 +74,15 @@ class TickPrinter(Statements):
         self.names = names
 
     def _Name(self, node: ast.Name) -> Value:
-        if node.id in self.known:
-            return self.known[node.id]
+        if node.id in self.scope:
+            return self.scope[node.id]
         if node.id in self.names:
             return Known(self.names[node.id])
         return super()._Name(node)
 
     def whole(self, value: Value) -> Printed:
         if isinstance(value, Known) and isinstance(value.value, StartReading):
-            return self.whole(self.known[f"x_read_{self.names['@end']}{value.value.axis}"])
+            return self.whole(self.scope[f"x_read_{self.names['@end']}{value.value.axis}"])
         return super().whole(value)
 
     def answer(self, answer: ast.Tuple, kinds: Sequence[Any], columns: Sequence[str]
@@ -115,24 +115,24 @@ def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = Non
                                for name, kind in parameters.items()}
     starts = {name: Printed(Array(DOUBLE, scene.axes, bare=True), name) for name in ("x0", "v0", "touch0")}
     for name, node in split.aliases({*fixed}).items():
-        printer.known = fixed
+        printer.scope = fixed
         fixed[name] = printer.evaluate(node)
     lasting = [name for name in split.lasting if name not in fixed]
 
     def run(known: dict[str, Value], body: Sequence[ast.stmt], depth: int = 1) -> PrintedSection:
-        turns = printer.turns
+        copies = printer.copies
         printer.start({**fixed, **known}, [*body])
-        printer.turns = turns  # the two functions are rendered in the end, so no name of a copy is used twice
+        printer.copies = copies  # the two functions are rendered in the end, so no name of a copy is used twice
         printer.stores.update(lasting + lasting)
         printer.depth = depth
-        printer.block([line for line in body if not (stores([line]) and stores([line]) <= {*fixed})])
-        return PrintedSection(printer.lines, printer.declared, printer.known)
+        printer.body([line for line in body if not (stores([line]) and stores([line]) <= {*fixed})])
+        return PrintedSection(printer.lines, printer.declared, printer.scope)
 
     def state() -> dict[str, Any]:
         return {name: printer.kinds[name] for name in lasting if printer.kinds.get(name, NOTHING) != NOTHING}
 
     for _ in range(8):
-        before, printer.turns = dict(printer.kinds), 0
+        before, printer.copies = dict(printer.kinds), 0
         begun = run(dict(starts), split.prologue)
         for word in words:
             printer.kinds.pop(word, None)
@@ -154,7 +154,7 @@ def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = Non
     if first.lines:
         loads += ["    if (!s->started) {", *[f"        {each.target} = {each.text};" for each in first.lines], "    }"]
         saved.append("    s->started = true;")
-    printer.lines, printer.declared, printer.known = begun
+    printer.lines, printer.declared, printer.scope = begun
     at_rest = [f"    s->{name} = {bare(printer.to(begun.known[name], kind))};" for name, kind in members.items()
                if name in begun.known and name not in stores(split.between)] + [
                    "    s->started = false;"] * bool(first.lines)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import ast
 import builtins
 import sys
-from collections.abc import Callable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, reduce
 from operator import eq, gt, is_, is_not, lt, ne
 from pathlib import Path
 from types import FunctionType, MethodType, ModuleType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from teleop.simulation import masks
 from teleop.stages.end import Record, declared
@@ -35,6 +36,7 @@ class Known(NamedTuple):
 
 Value = Known | ast.expr
 Node = TypeVar("Node", bound=ast.AST)
+Written = TypeVar("Written")  # what is known, or what is written for the rest
 
 
 class CallFrame:
@@ -66,7 +68,81 @@ def functions_in(module: str, file: str) -> dict[tuple[str, int], ast.FunctionDe
             for body in bodies for each in body if isinstance(each, ast.FunctionDef)}
 
 
-class Expressions:
+class Evaluator(ABC, Generic[Written]):
+    """A walk over the lines of one function, each by a method of its name: to write it out, or to print it as C."""
+
+    scope: dict[str, Any]  # what names stand for
+    line: int
+
+    @abstractmethod
+    def refused(self, why: str) -> Exception:
+        """The refusal of the line at which the walk is."""
+
+    @abstractmethod
+    def unwritten(self, node: ast.AST) -> Exception:
+        """The refusal of a node that has no method."""
+
+    @abstractmethod
+    def parts(self, value: Any) -> Sequence[Any]:
+        """The parts of a tuple."""
+
+    def body(self, lines: Sequence[ast.stmt]) -> Written | None:
+        """Walk over these lines; what they return, or None if they go on."""
+        for line in lines:
+            self.line = line.lineno
+            make: Callable[[Any], Written | None] | None = getattr(self, f"_{type(line).__name__}", None)
+            if make is None or not isinstance(line, ast.stmt):
+                raise self.unwritten(line)
+            if (answer := make(line)) is not None:
+                return answer
+        return None
+
+    def evaluate(self, node: ast.expr) -> Written:
+        """Evaluate an expression: its known value, or what is written for it."""
+        make: Callable[[Any], Written] | None = getattr(self, f"_{type(node).__name__}", None)
+        if make is None:
+            raise self.unwritten(node)
+        return make(node)
+
+    def _Constant(self, node: ast.Constant) -> Known:
+        return Known(node.value)
+
+    def around(self, function: FunctionType, word: str) -> Known:
+        """Value of a name of a function's module, or of Python's own."""
+        if word in function.__globals__:
+            return Known(function.__globals__[word])
+        if hasattr(builtins, word):
+            return Known(getattr(builtins, word))
+        raise self.refused(f"{word} is not known")
+
+    def turns(self, entry: ast.expr, loops: list[ast.comprehension]) -> Iterator[Written]:
+        """The entries of a comprehension over what is known."""
+        if not loops:
+            yield self.evaluate(entry)
+            return
+        over, around = self.parts(self.evaluate(loops[0].iter)), self.scope
+        for each in over:
+            self.scope = {**around}
+            self.bind(loops[0].target, each)
+            tests = [self.evaluate(test) for test in loops[0].ifs]
+            if not all(isinstance(test, Known) for test in tests):
+                raise self.refused("the condition of a comprehension is known beforehand")
+            if all(getattr(test, "value", False) for test in tests):
+                yield from self.turns(entry, loops[1:])
+        self.scope = around
+
+    def bind(self, target: ast.expr, value: Any) -> None:
+        """Let names stand for a value."""
+        if isinstance(target, ast.Name):
+            self.scope[target.id] = value
+            return
+        if not isinstance(target, ast.Tuple):
+            raise self.refused(f"{ast.unparse(target)} cannot stand for what is known beforehand")
+        for each, one in zip(target.elts, self.parts(value), strict=True):
+            self.bind(each, one)
+
+
+class Expressions(Evaluator[Value]):
     """The expressions of one function that is being made, and the functions that they call."""
 
     def __init__(self, entry: FunctionType, engine: str = "plain") -> None:
@@ -90,6 +166,14 @@ class Expressions:
         """The function whose lines are being written."""
         return self.frames[-1]
 
+    @property
+    def scope(self) -> dict[str, Known]:
+        """Known things by name, of the function that is being written."""
+        return self.frame.known
+
+    @scope.setter
+    def scope(self, scope: dict[str, Known]) -> None:
+        self.frame.known = scope
 
     def definition(self, function: FunctionType) -> ast.FunctionDef:
         """The lines of a function."""
@@ -102,6 +186,10 @@ class Expressions:
     def refused(self, why: str) -> NotSpecialised:
         """The refusal of the line that is being written."""
         return NotSpecialised(f"{self.frame.function.__code__.co_filename}:{self.line}: {why}")
+
+    def unwritten(self, node: ast.AST) -> NotSpecialised:
+        text = f": {ast.unparse(node)}" if isinstance(node, ast.expr) else ""
+        return self.refused(f"{type(node).__name__} is not for the tick{text}")
 
     def locate(self, made: Node, old: ast.AST) -> Node:
         """A new node in the place of an old one."""
@@ -166,19 +254,9 @@ class Expressions:
 
     # What expressions come to
 
-    def evaluate(self, node: ast.expr) -> Value:
-        """Evaluate an expression: its known value, or the expression itself with what is known written in."""
-        make: Callable[[Any], Value] | None = getattr(self, f"_{type(node).__name__}", None)
-        if make is None:
-            raise self.refused(f"{type(node).__name__} is not for the tick: {ast.unparse(node)}")
-        return make(node)
-
     def residualize(self, node: ast.expr) -> ast.expr:
         """The expression itself."""
         return self.residual(self.evaluate(node), node, getattr(node, "id", getattr(node, "attr", "")))
-
-    def _Constant(self, node: ast.Constant) -> Value:
-        return Known(node.value)
 
     def _Name(self, node: ast.Name) -> Value:
         word, frame = node.id, self.frame
@@ -191,12 +269,7 @@ class Expressions:
             if frame is not self.entry:
                 raise self.refused(f"{word} is read before it is set")
             return self.name_node(word, node)
-        around = frame.function.__globals__
-        if word in around:
-            return Known(around[word])
-        if hasattr(builtins, word):
-            return Known(getattr(builtins, word))
-        raise self.refused(f"{word} is not known")
+        return self.around(frame.function, word)
 
     def _Attribute(self, node: ast.Attribute) -> Value:
         inner = self.evaluate(node.value)
@@ -333,36 +406,15 @@ class Expressions:
 
     _GeneratorExp = _ListComp
 
-    def turns(self, entry: ast.expr, loops: list[ast.comprehension]) -> Iterator[Value]:
-        """The entries of a comprehension over what is known."""
-        if not loops:
-            yield self.evaluate(entry)
-            return
-        over = self.evaluate(loops[0].iter)
-        if not isinstance(over, Known):
-            raise self.refused(f"a comprehension goes over what is known, not {ast.unparse(loops[0].iter)}")
-        around = self.frame.known
-        for each in over.value:
-            self.frame.known = {**around}
-            self.bind(loops[0].target, each)
-            tests = [self.evaluate(test) for test in loops[0].ifs]
-            if not all(isinstance(test, Known) for test in tests):
-                raise self.refused("the condition of a comprehension is known beforehand")
-            if all(test.value for test in tests):  # type: ignore[union-attr]
-                yield from self.turns(entry, loops[1:])
-        self.frame.known = around
+    def parts(self, value: Value) -> list[Known]:
+        if not isinstance(value, Known):
+            raise self.refused(f"a comprehension goes over what is known, not {ast.unparse(value)}")
+        return [Known(each) for each in value.value]
 
-    def bind(self, target: ast.expr, value: Any) -> None:
-        """Let names stand for what is known."""
-        if isinstance(target, ast.Name):
-            if target.id in self.frame.names or target.id in self.frame.known:
-                raise self.refused(f"{target.id} stands for what is known when the loop is made, so it is set once")
-            self.frame.known[target.id] = Known(value)
-            return
-        if not isinstance(target, ast.Tuple):
-            raise self.refused(f"{ast.unparse(target)} cannot stand for what is known when the loop is made")
-        for each, one in zip(target.elts, value, strict=True):
-            self.bind(each, one)
+    def bind(self, target: ast.expr, value: Known) -> None:
+        if isinstance(target, ast.Name) and (target.id in self.frame.names or target.id in self.frame.known):
+            raise self.refused(f"{target.id} stands for what is known when the loop is made, so it is set once")
+        super().bind(target, value)
 
 
 def of_structure(thing: object) -> bool:

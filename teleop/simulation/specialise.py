@@ -101,17 +101,6 @@ class _Writer(Expressions):
 
     # Statements
 
-    def body(self, lines: Sequence[ast.stmt]) -> Value | None:
-        """Write these lines; what they return, or None if they go on."""
-        for line in lines:
-            self.line = line.lineno
-            make: Callable[[Any], Value | None] | None = getattr(self, f"_{type(line).__name__}", None)
-            if make is None or not isinstance(line, ast.stmt):
-                raise self.refused(f"{type(line).__name__} is not for the tick")
-            if (answer := make(line)) is not None:
-                return answer
-        return None
-
     def block(self, lines: Sequence[ast.stmt]) -> list[ast.stmt]:
         """Lines that depend on numbers: of a branch, or of a loop."""
         around, self.out = self.out, []
@@ -170,7 +159,7 @@ class _Writer(Expressions):
             if self.frame.branches:
                 raise self.refused(f"{ast.unparse(target)} stands for what is known when the loop is made, so it "
                                    "cannot be set under a condition of numbers, or in a loop that stays one")
-            self.bind(target, value.value)
+            self.bind(target, value)
             return
         right = self.residual(value, line)
         made = self.target(target)
@@ -295,7 +284,7 @@ class _Writer(Expressions):
         self.frame.branches = 0
         for each in over:
             self.frame.known = {**around}
-            self.bind(line.target, each)
+            self.bind(line.target, Known(each))
             if self.body(line.body) is not None:
                 raise self.refused("a loop that is unrolled cannot be returned from")
         self.frame.known, self.frame.branches = around, branches

@@ -10,7 +10,14 @@ from teleop.emit.vectors import vectors
 from teleop.scene.scene import Scene
 from tests.programs import program
 
-__all__ = ["assert_same", "compiled", "differences"]
+__all__ = ["assert_same", "compiled", "differences", "limited"]
+
+
+def limited(x: float, low: float = -1.0, high: float = 1.0) -> float:
+    """A helper of laws that returns early, and whose arguments have names and defaults."""
+    if x < low:
+        return low
+    return high if x > high else x
 
 
 def compiled(made: Files, folder: Path, *flags: str) -> Path:

@@ -24,10 +24,7 @@ class Message(NamedTuple):
     v: float
 class Memory(NamedTuple):
     a: float
-def limited(x, low=-1.0, high=1.0):
-    if x < low:
-        return low
-    return high if x > high else x
+from tests.teleop.emit.printed import limited
 def signed(x, sign=1):
     if x < 0.0:
         sign = -1.5
@@ -116,15 +113,15 @@ def test_what_may_not_is_refused_with_file_line_and_what_to_write(tmp_path: Path
         with pytest.raises(Refused) as refused:
             files(scene_of(line, tmp_path), "m", "m")
         text = str(refused.value)
-        assert f"tried.py:32: Tried.master: {why}" in text, text
+        assert f"tried.py:29: Tried.master: {why}" in text, text
         assert "\n" not in text
 
 
 UNDER_AN_IF = {  # each was another number in C than in Python where the `if` was not taken
-    "m = None\n        if f > 0.0: m = f\n        f = 9.0 if m is None else m": "33: Tried.master: m is None, which no",
-    "t = (f, f)\n        if f > 0.0: t = ()\n        for e in t: f = f + e": "33: Tried.master: t is (), which no",
+    "m = None\n        if f > 0.0: m = f\n        f = 9.0 if m is None else m": "30: Tried.master: m is None, which no",
+    "t = (f, f)\n        if f > 0.0: t = ()\n        for e in t: f = f + e": "30: Tried.master: t is (), which no",
     "k = 5\n        if f > 0.0:\n            for k in range(3): f = f + k\n        f = f + k":
-        "35: Tried.master: k is not set on every way to here",
+        "32: Tried.master: k is not set on every way to here",
 }
 
 

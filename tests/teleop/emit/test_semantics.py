@@ -16,7 +16,7 @@ from teleop.emit.files import files
 from teleop.emit.primitives import HELPERS, PRIMITIVES, Primitive
 from teleop.emit.vectors import vectors
 from teleop.stages.device import Device
-from tests.teleop.emit.printed import compiled, differences
+from tests.teleop.emit.printed import compiled, differences, limited
 
 
 class Sent(NamedTuple):
@@ -42,13 +42,6 @@ class Odd(NamedTuple):
 
 
 TABLE = (3.0, 1.0, 4.0, 1.0, 5.0, 9.0, 2.0, 6.0, 5.0, 3.0)
-
-
-def limited(x: float, low: float = -1.0, high: float = 1.0) -> float:
-    """A helper that returns early, and whose arguments have names and defaults."""
-    if x < low:
-        return low
-    return high if x > high else x
 
 
 @dataclass(frozen=True, kw_only=True)
