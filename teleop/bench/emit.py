@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 
 from teleop.emit.compiled import build, find_compiler
 from teleop.emit.files import FLAGS, files
+from teleop.emit.types import DOUBLE, FLOAT
 from teleop.emit.vectors import DrawnInputs
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
@@ -33,6 +34,7 @@ ENDS: dict[str, Callable[[], Scene]] = {
     "hard_wall --end m": lambda: load_scene("hard_wall"),
     "hard_wall --end m --set playout=integral": lambda: load_scene("hard_wall", playout="integral"),
     "bench_top --end m --set law=pp": lambda: load_scene("bench_top", law="pp"),
+    "bench_top --end m --set law=pp --float": lambda: load_scene("bench_top", law="pp"),
     "canonical --end s --set law=tdpa": lambda: load_scene("canonical", law="tdpa"),
     "pfra, --end m with encoder, estimator, delay and every limit": lambda: replace(
         load_scene("canonical", law="pfra"), watchdog=Watchdog(timeout=0.05),
@@ -51,7 +53,7 @@ int main(void)
     static @name@_state s;
     static @name@_in in;
     static @name@_out out;
-    const double zero[16] = {0};
+    const @real@ zero[16] = {0};
     double sum = 0;
     clock_t began;
     int k;
@@ -77,15 +79,17 @@ def emit(rounds: int) -> list[Row]:
         return [("no C compiler: cc", "", "")]
     rows: list[Row] = []
     for what, make in ENDS.items():
-        scene, e = make(), "s" if "--end s" in what else "m"
+        scene, e, real = make(), "s" if "--end s" in what else "m", FLOAT if "--float" in what else DOUBLE
         rows.append((what, "", ""))
         with TemporaryDirectory() as folder:
-            made = files(scene, e, e)
+            made = files(scene, e, e, real=real)
             build(made, Path(folder), compiler)
             name = next(each for each in made.texts if each.endswith(".h"))[:-2]
             rows += [(f"  {core}", f"{count:,} B", "") for core, count in sizes(Path(folder), name, compiler)]
             lines = [f"        {text}" for field, text in SET.items() if field in made.tick.records["in"]]
-            loop = LOOP.replace("@name@", name).replace("@ticks@", str(TICKS)).replace("@set@", "\n".join(lines))
+            loop = LOOP
+            for word, text in {"name": name, "ticks": TICKS, "set": "\n".join(lines), "real": real}.items():
+                loop = loop.replace(f"@{word}@", str(text))
             (Path(folder) / "loop.c").write_text(loop)
             subprocess.run([compiler, *FLAGS.split(), "-O2", f"{name}.c", "loop.c", "-lm", "-o", "loop"], cwd=folder,
                            check=True)

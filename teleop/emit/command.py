@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from functools import partial
 
+from teleop.emit.compiled import float_error
 from teleop.emit.files import FLAGS, files
+from teleop.emit.types import FLOAT
 from teleop.errors import Refused
 from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
@@ -22,7 +25,8 @@ def command(args: Namespace) -> Answer:
     e = end_of(scene, args.end)
     if scene.slave is not None:
         scene = both_ends(load_scene(args.scene, **live_knobs(args.scene, knobs)))
-    made = files(scene, e, args.end)
+    made = files(scene, e, args.end, real=FLOAT, off=partial(float_error, scene, e)) if args.float else files(
+        scene, e, args.end)
     with new_folder(args.out, f"{scene.name}-emit") as new:
         for name, text in made.texts.items():
             with replacing(new.inside / name) as file:

@@ -6,12 +6,16 @@ import shutil
 import struct
 import subprocess
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from teleop.emit.files import FLAGS, Files, files
-from teleop.emit.vectors import Vectors, vectors
+from teleop.emit.types import FLOAT
+from teleop.emit.vectors import Vectors, run_vectors, vectors
 from teleop.errors import Refused
+from teleop.law import law_name
+from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 
 COMPILERS = ("cc", "gcc", "clang")
@@ -37,13 +41,34 @@ def build(made: Files, folder: Path, compiler: str, flags: Sequence[str] = ("-O1
 
 def differences(built: Path, rows: Vectors | None = None) -> str:
     """Text that a program of check.c prints, of its own rows or of these; "" where every bit is the same."""
+    done = ran(built, rows)
+    return "" if done.returncode == 0 else done.stdout or f"it ended with {done.returncode}: {done.stderr[:500]}"
+
+
+def ran(built: Path, rows: Vectors | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a program of check.c on its own rows or on these."""
     words = [str(built)]
     if rows is not None:
         file = built.parent / "rows"
         file.write_bytes(b"".join([struct.pack(f"{len(row)}d", *row) for row in rows.rows]))
         words.append(str(file))
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    return "" if done.returncode == 0 else done.stdout or f"it ended with {done.returncode}: {done.stderr[:500]}"
+    return subprocess.run(words, capture_output=True, text=True, check=False)
+
+
+def float_error(scene: Scene, e: str) -> str:
+    """Sentence on how far the force of the scene's law is off in float over the canonical scene. Raises `Refused`."""
+    compiler = find_compiler()
+    if compiler is None:
+        return "How far it is off over a run was not measured: there was no C compiler."
+    canonical = "canonical" if scene.slave is not None else "virtual_wall"
+    of = replace(load_scene(canonical), law=scene.laws[0])
+    made = files(of, e, e, real=FLOAT)
+    with TemporaryDirectory() as folder:
+        done = ran(build(made, Path(folder), compiler), run_vectors(of, e, made.tick))
+    if done.returncode:
+        raise Refused(f"in float {law_name(of.law)} is too far from double over the {canonical} scene: "
+                      f"{done.stdout.strip()}; leave --float out")
+    return f"Over a run of the {canonical} scene: {done.stdout.strip()}."
 
 
 def compare(scene: Scene, e: str, compiler: str | None, count: int = 1000) -> Iterator[str]:

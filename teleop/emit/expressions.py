@@ -123,7 +123,10 @@ class CExpressions(Evaluator[Value]):
 
     def number(self, value: Any, kind: Any) -> str:
         """A number as C has it in an expression."""
-        text: str = self.types.literal(value, kind)
+        try:
+            text: str = self.types.literal(value, kind)
+        except NotPrinted as why:
+            raise self.refused(str(why)) from None
         return f"({text})" if text.startswith("-") else text
 
     def record(self, parts: Sequence[Value], kind: Any) -> Printed:

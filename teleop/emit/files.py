@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import NamedTuple
 
 from teleop.emit.guard import Guard, with_guard
 from teleop.emit.primitives import FAULTS
 from teleop.emit.ticks import WHAT, PrintedTick, printed_tick, record_line
-from teleop.emit.types import BOOL, NOTHING
+from teleop.emit.types import BOOL, DOUBLE, FLOAT, NOTHING, NotPrinted
 from teleop.emit.vectors import Vectors, vectors
 from teleop.emit.wire import wire_header
-from teleop.law import law_name
+from teleop.kind import totals
+from teleop.law import law_name, messages
 from teleop.protocol.guard import UNNAMED
 from teleop.scene.playout import Fixed
 from teleop.scene.scene import Scene
+from teleop.simulation.structure import structure_of
 
 FLAGS = "-std=c99 -ffp-contract=off -Wall -Wextra -Werror -pedantic"
 TICKS = 500  # in check.c
@@ -28,16 +31,32 @@ class Files(NamedTuple):
     vectors: Vectors
 
 
-def files(scene: Scene, e: str, end: str, *, sensor: bool | None = None, real: str = "double") -> Files:
-    """Print the files of an end. Raises `NotPrinted` before any of them is there."""
+def files(scene: Scene, e: str, end: str, *, sensor: bool | None = None, real: str = DOUBLE,
+          off: Callable[[], str] | None = None) -> Files:
+    """Print the files of an end. Raises `NotPrinted` before any of them is there.
+
+    `real`: double, or float; `off`: the sentence of a float's page on how far its force is off.
+    """
+    if real == FLOAT and (sums := grows(scene, e)):
+        raise NotPrinted(f"scene {scene.name}, end {end}, adds to {' and '.join(sums)} as long as a session lasts, and "
+                         "a float soon rounds away what is added; leave --float out")
     name = f"{re.sub(r'[^a-z0-9]+', '_', scene.name.lower()).strip('_')}_{end}"
     tick, guard = with_guard(scene, printed_tick(scene, e, f"{name}_", sensor=sensor, real=real))
     rows = vectors(scene, e, tick, count=TICKS, sensor=sensor)
     texts = {f"{name}.h": header(scene, end, name, tick, guard), f"{name}.c": code(scene, end, name, tick, guard),
-             "check.c": check(name, tick, rows), "README.md": page(scene, end, name, tick)}
+             "check.c": check(name, tick, rows), "README.md": page(scene, end, name, tick, off)}
     if scene.slave is not None:
         texts[f"{name}_wire.h"] = wire_header(scene, e, name, title(scene, end))
     return Files(texts, tick, rows)
+
+
+def grows(scene: Scene, e: str) -> list[str]:
+    """Sums in what an end knows, which only grow during a session."""
+    structure = structure_of(scene)
+    both = messages(scene.laws[0], scene.dt_ns / 1e9) if scene.slave is not None else ()
+    made = sorted({f"{name} of its law's messages" for each in both for name in totals(each)})
+    return made + ["the integrals of its waves"] * structure.has.integral + ["the numbers of its messages"] * getattr(
+        structure, e).has.age
 
 
 HEAD = """\
@@ -129,7 +148,7 @@ def code(scene: Scene, end: str, name: str, tick: PrintedTick, guard: Guard) -> 
 
 
 CHECK = """\
-/* Ticks of {name} beside those of Python: prints what differs and returns 1. Printed by `teleop emit`.
+/* Ticks of {name} beside those of Python: {how}. Printed by `teleop emit`.
 
    cc {flags} {name}.c check.c -lm -o check && ./check */
 #include "{name}.h"
@@ -138,7 +157,7 @@ CHECK = """\
 enum {{ INPUTS = {inputs}, ANSWERS = {answers}, WIDTH = 2 + INPUTS + ANSWERS, ROWS = {rows}, AXES = {axes} }};
 static const char *const names[ANSWERS] = {{{names}}};
 
-static int differ(double a, double b) {{ return a == b ? !signbit(a) != !signbit(b) : a == a || b == b; }}
+{differ}
 
 static void fill({prefix}in *in, const double *r)
 {{
@@ -173,7 +192,7 @@ static int wrong(const double *row, long n)
     if (row[0] == 0.0 || fault) return 0;
     take(&out, answer);
     for (i = 0; i < ANSWERS; i++)
-        if (differ(answer[i], row[2 + INPUTS + i])) {{
+        if (differ(i, answer[i], row[2 + INPUTS + i])) {{
             if (++bad <= 3) printf("tick %ld: %s is %a, in Python %a\\n", n, names[i], answer[i], row[2 + INPUTS + i]);
         }}
     return bad > 0;
@@ -191,10 +210,33 @@ int main(int words, char **word)
         fclose(file);
     }} else
         for (; n < ROWS && bad < 10; n++) bad += wrong(vectors[n], n);
-    printf(bad ? "%ld of %ld ticks differ\\n" : "%ld of %ld ticks differ: all bits are those of Python\\n", bad, n);
-    return bad > 0;
+    {verdict}
 }}
 """
+
+EVERY_BIT = (
+    "prints what differs and returns 1",
+    """static int differ(int i, double a, double b)
+{
+    (void)i;
+    return a == b ? !signbit(a) != !signbit(b) : a == a || b == b;
+}""",
+    """printf(bad ? "%ld of %ld ticks differ\\n" : "%ld of %ld ticks differ: all bits are those of Python\\n", bad, n);
+    return bad > 0;""")
+WITHIN = (
+    "prints how far its force is off in float, and returns 1 if that is more than a thousandth of the greatest",
+    """static double off, greatest; /* N: the greatest difference of a force from that of double, the greatest force */
+
+static int differ(int i, double a, double b)
+{
+    if (i < AXES) {
+        off = fmax(off, fabs(a - b));
+        greatest = fmax(greatest, fabs(b));
+    }
+    return !isfinite(a);
+}""",
+    """printf("%ld of %ld ticks fail; the force is off by up to %.2g N of %.3g N\\n", bad, n, off, greatest);
+    return bad > 0 || !(off <= 0.001 * greatest);""")
 
 
 def check(name: str, tick: PrintedTick, rows: Vectors) -> str:
@@ -210,7 +252,9 @@ def check(name: str, tick: PrintedTick, rows: Vectors) -> str:
     take = [f"    r[{i}] = (double){place};" for i, (place, kind) in enumerate(rows.answers)]
     names = [f'"{tick.columns[int(place[9:-1])] if place.startswith("out->row") else place[5:]}"'
              for place, _ in rows.answers]
+    how, differ, verdict = WITHIN if tick.program.types.real == FLOAT else EVERY_BIT
     return CHECK.format(
+        how=how, differ=differ, verdict=verdict,
         name=name, flags=FLAGS, prefix=tick.prefix, real=c("double"), inputs=rows.width, answers=len(rows.answers),
         rows=len(rows.rows), axes=tick.axes, names=", ".join(names), fill="\n".join(fill), take="\n".join(take),
         vectors=f"static const double vectors[ROWS][WIDTH] = {{\n{body}\n}};\n")
@@ -225,10 +269,7 @@ Printed by `teleop emit`: the tick of this end as C99, without malloc and withou
 cc {flags} -O2 {name}.c check.c -lm -o check && ./check
 ```
 
-`check.c` compares {ticks} ticks with those of Python, every bit.
-{libm}
-With `-ffast-math`, or with fused multiply-adds, which gcc makes without `-std=c99` or `-ffp-contract=off`, they are
-others: the header refuses what it can see of that.
+`check.c` compares {ticks} ticks with those of Python, {compared}
 
 At every tick of a clock, whether or not a message has come:
 
@@ -259,13 +300,23 @@ would have raised: {faults}. The state is then as it was.
 """
 
 
-def page(scene: Scene, end: str, name: str, tick: PrintedTick) -> str:
+BITS = """every bit.
+{libm}
+With `-ffast-math`, or with fused multiply-adds, which gcc makes without `-std=c99` or `-ffp-contract=off`, they are
+others: the header refuses what it can see of that."""
+IN_FLOAT = """which are in double where these are in float, and
+prints how far the force is off. {off}"""
+
+
+def page(scene: Scene, end: str, name: str, tick: PrintedTick, off: Callable[[], str] | None) -> str:
     """README.md."""
     libm = ("It needs nothing of libm but what is exact (sqrt, fabs, floor), so they are the same everywhere."
             if not tick.program.libm else
             f"It calls {', '.join(sorted(tick.program.libm))} of libm: the last digit of these is that of your libm.")
     dog, played = scene.watchdog or UNNAMED, scene.played_as
     ago = f"that of {played.ticks(scene.dt_ns)} ticks ago" if isinstance(played, Fixed) else "the newest that has come"
-    return PAGE.format(title=title(scene, end), flags=FLAGS, name=name, prefix=tick.prefix, ticks=TICKS, libm=libm,
+    compared = BITS.format(libm=libm) if off is None else IN_FLOAT.format(off=off())
+    return PAGE.format(title=title(scene, end), flags=FLAGS, name=name, prefix=tick.prefix, ticks=TICKS,
+                       compared=compared,
                        faults=", ".join(FAULTS.values()), upper=tick.prefix.upper(), settle=dog.settle, ramp=dog.ramp,
                        timeout=dog.timeout, dt=scene.dt_ns / 1e6, playing=ago)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from teleop.emit.calls import Calls
 from teleop.emit.expressions import NUMBERS, CExpressions, bare, c_word
 from teleop.emit.primitives import HELPERS
-from teleop.emit.types import INT, NOTHING, Array, Printed, TupleParts, Types, Value
+from teleop.emit.types import DOUBLE, FLOAT, INT, NOTHING, Array, Printed, TupleParts, Types, Value
 from teleop.simulation.expressions import Known, NotSpecialised, functions_in
 
 
@@ -39,9 +39,9 @@ class CFunction(NamedTuple):
 class Program:
     """Contents of one C file: types, helpers, and functions in the order in which they call each other."""
 
-    def __init__(self, prefix: str, real: str = "double") -> None:
+    def __init__(self, prefix: str, real: str = DOUBLE) -> None:
         self.types = Types(prefix, real)
-        self.prefix, self.suffix = prefix, "f" if real == "float" else ""
+        self.prefix, self.suffix = prefix, "f" * (real == FLOAT)
         self.helpers: set[str] = set()
         self.libm: set[str] = set()
         self.arrays: dict[str, Array] = {}  # expressions that are arrays
@@ -102,7 +102,7 @@ class Program:
         for name in self.helpers:
             if re.search(rf"\b{name}\(", used):
                 small.append(name)
-        words = {"REAL": self.types.c("double"), "@": self.suffix, "PRE_": self.prefix.upper()}
+        words = {"REAL": self.types.real, "@": self.suffix, "PRE_": self.prefix.upper()}
         helpers = "\n".join([HELPERS[name] for name in HELPERS if name in small])
         for word, meaning in words.items():
             helpers = helpers.replace(word, meaning)

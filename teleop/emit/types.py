@@ -14,6 +14,8 @@ from teleop.errors import Refused
 from teleop.simulation.expressions import Known
 
 DOUBLE, INT, BOOL, NOTHING = "double", "int64_t", "bool", "void"
+FLOAT = "float"
+FLOATS = 2.0**-126, 2.0**128  # the numbers of float that are not subnormal: from, and below
 WHOLE, MIXED = "whole", "mixed"  # reals of C: an int of Python, as of `floor`, whose 0 has no sign; an int or a float
 REALS = (WHOLE, DOUBLE, MIXED)
 SCALARS = (BOOL, INT, *REALS)  # each holds the values of those before it, but for the zeros
@@ -196,7 +198,9 @@ class Types:
             return "NAN"
         if value - value != 0.0:
             return "INFINITY" if value > 0.0 else "-INFINITY"
-        return repr(value) + ("f" if self.real == "float" else "")
+        if self.real == FLOAT and value != 0.0 and not FLOATS[0] <= abs(value) < FLOATS[1]:
+            raise NotPrinted(f"{value!r} is beyond the range of float; leave --float out")
+        return repr(value) + "f" * (self.real == FLOAT)
 
     def declarations(self, wanted: Iterable[Type] | None = None, known: str = "") -> str:
         """The types that are `wanted`, or all, each after those that it is made of, but those in the text `known`."""

@@ -17,6 +17,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import numbers_of
 from teleop.simulation.tick import LiveTick
+from teleop.simulation.virtual import run
 from teleop.stages.wave_integral import Integrals
 
 WILD = (inf, -inf, nan, 5e-324, -1e-310, 1.7e308, -1e300, 0.0, -0.0, 4.5e15)
@@ -31,6 +32,18 @@ class Vectors(NamedTuple):
     answers: list[tuple[str, str]]
     rows: list[list[float]]
     width: int  # of the inputs
+
+    def add(self, kind: float, failed: bool, inputs: Any, answer: Any = ()) -> None:
+        """Append a row: of an `init` or a tick, whether Python raised, and numbers in tuples of any depth."""
+        numbers, out = [[float(one) for one in _numbers(each)] for each in (inputs, answer)]
+        self.rows.append([kind, float(failed), *numbers, *[0.0] * (self.width - len(numbers)), *out,
+                          *[0.0] * (len(self.answers) - len(out))])
+
+    def add_tick(self, tick: PrintedTick, now: LiveTick, answer: Any) -> None:
+        """Append what Python answered to a tick, None where it raised."""
+        fields = dict(zip(("force", "tx", "sent", "row"), answer or (), strict=bool(answer)))
+        self.add(TICK, answer is None, tuple([getattr(now, name) for name in tick.records["in"]]),
+                 tuple([fields[name] for name in tick.records["out"] if fields]))
 
 
 def places(kind: Any, text: str) -> Iterator[tuple[str, str]]:
@@ -50,31 +63,45 @@ def vectors(scene: Scene, e: str, tick: PrintedTick, *, count: int, seed: int = 
     `init` to the next."""
     inputs = [each for name, kind in tick.records["in"].items() for each in places(kind, f"in->{name}")]
     answers = [each for name, kind in tick.records["out"].items() for each in places(kind, f"out->{name}")]
-    width = max(len(inputs), 3 * scene.axes)
-    rows: list[list[float]] = []
+    made = Vectors(inputs, answers, [], max(len(inputs), 3 * scene.axes))
     hand = DrawnInputs(scene, e, seed, wild)
     end = ReferenceEnd(scene, e, sensor)
-    while len(rows) < count:
+    while len(made.rows) < count:
         if end.past is None or len(end.past) >= again:
             start = hand.start()
-            failed = end.begin(*start)
-            numbers = [one for each in start for one in each]
-            rows.append(_row(INIT, failed, numbers, width, [], len(answers)))
-            continue
-        now = hand.tick(end.force)
-        answer = end.tick(now)
-        numbers = [float(one) for name in tick.records["in"] for one in _numbers(getattr(now, name))]
-        if answer is None:
-            rows.append(_row(TICK, True, numbers, width, [], len(answers)))
-            continue
-        fields = dict(zip(("force", "tx", "sent", "row"), answer, strict=True))
-        out = [float(one) for name in tick.records["out"] for one in _numbers(fields[name])]
-        rows.append(_row(TICK, False, numbers, width, out, len(answers)))
-    return Vectors(inputs, answers, rows, width)
+            made.add(INIT, end.begin(*start), start)
+        else:
+            now = hand.tick(end.force)
+            made.add_tick(tick, now, end.tick(now))
+    return made
 
 
-def _row(kind: float, failed: bool, inputs: list[float], width: int, answer: list[float], most: int) -> list[float]:
-    return [kind, float(failed), *inputs, *[0.0] * (width - len(inputs)), *answer, *[0.0] * (most - len(answer))]
+def run_vectors(scene: Scene, e: str, tick: PrintedTick) -> Vectors:
+    """Rows of a run in virtual time, of a scene with one axis that plays no integrals."""
+    made = vectors(scene, e, tick, count=0)
+    trace, both = run(scene).trace, scene.slave is not None
+    ends = {each: ReferenceEnd(scene, each, None) for each in "ms"[:1 + both]}
+    columns = {each: [trace[name].tolist() for name in (f"x_{each}", f"v_{each}", {"m": "f_h", "s": "f_env"}[each])]
+               for each in ends}
+    played = {each: trace[f"seq_{each}"].astype(int).tolist() if both else [-1] * len(trace["t"]) for each in ends}
+    kinds: Any = messages(scene.laws[0], scene.dt_ns / 1e9) if both else ()
+    nothing = {each: (kind(*[0.0] * len(kind._fields)),) for each, kind in zip("sm", kinds, strict=both)}
+    sent: dict[str, list[Any]] = {"m": [], "s": []}
+    for k in range(len(trace["t"])):
+        for each, end in ends.items():
+            seq, readings = played[each][k], [(column[k],) for column in columns[each]]
+            if k == 0:
+                failed = end.begin(*readings)
+                if each == e:
+                    made.add(INIT, failed, tuple(readings))
+            rx = sent["s" if each == "m" else "m"][seq] if seq >= 0 else nothing.get(each)
+            x, v, touch = readings
+            now = LiveTick(k, x, v, touch, seq >= 0, float(seq), rx, (), 1.0, end.force, 1, 0.0, 1.0)
+            answer = end.tick(now)
+            sent[each].append(answer[1])
+            if each == e:
+                made.add_tick(tick, now, answer)
+    return made
 
 
 def _numbers(value: Any) -> Iterator[Any]:

@@ -333,6 +333,8 @@ def _emit(added: ArgumentParser) -> None:
     scene_options(added, seed=False)
     added.add_argument("--end", choices=("m", "s", "hand"), required=True, help="the end that is printed: the master, "
                        "the slave, or hand, the only one of a scene without a slave")
+    added.add_argument("--float", action="store_true", help="single precision, for a processor whose unit has no "
+                       "doubles: not the bits of Python; refused where a float does not suffice")
     _out(added, "SCENE-emit")
     _json(added)
 
