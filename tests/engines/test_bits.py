@@ -45,21 +45,21 @@ waves, fixed, ticks left out            f     f      f              f      -    
 waves, scaled, ticks left out           f     f      f              f      -       f
 forces that diverge                     f     X      f       f      f      X       f
 forces that diverge, constant delays    f     f      f       f      f      f       f
-limits, devices and a watchdog          X     X      x       f      x      X       X
+limits, devices and a watchdog          X     X      f       f      x      X       X
 ticks left out                          X     X      f       x      f      -       f
 a one-port                              X     X      X       X      f      -       f
 a user's law, a clutch and gaps         X     X      x       f      X      X       X
 a user's law in two axes                f     f      f       f      f      f       f
 a clutch and a small slew limit         f     f      f       f             f       f
 a deadband                              X     X      f       f      f      -       f
-stages around a law                     f     X      x       f      f      f       X
+stages around a law                     f     X      f       f      f      f       X
 a coupling with branches                f     f      f       f      f      -       f
-axes of their own                       X     X      X       f      f      X       f
+axes of their own                       X     X      f       f      f      X       f
 eleven axes                             X     X      f                     f       f
 coupled axes without a link             X     X      f       f      f      f       f
 rotations                               X     X      x       f      f      X       f
 six axes                                f     f      f              f      f       f
-friction                                X     X      x       -      -      f       f
+friction                                X     X      f       -      -      f       f
 soft and relaxing bodies that move      X     X      f       -      -      f       f
 relaxing, moved and none                f     f      x       -      -      f       f
 windows of readings                     X     X      x                     f       f

@@ -165,7 +165,8 @@ def test_a_demo_that_is_killed_takes_its_processes_with_it(command: Start, tmp_p
         assert json.loads((tmp_path / "out" / end / "summary.json").read_text())["status"] == "stopped"
 
 
-@pytest.mark.parametrize("name", ["slave", "channel", pytest.param("master", marks=pytest.mark.full)])
+@pytest.mark.parametrize("name", [
+    "channel", *(pytest.param(name, marks=pytest.mark.full) for name in ("slave", "master"))])
 def test_who_is_killed_is_said_and_the_others_stop_and_keep_their_records(
     name: str, command: Start, tmp_path: Path
 ) -> None:

@@ -123,7 +123,8 @@ def test_two_ends_do_without_a_channel_and_talk_plainly_to_people(command: Start
 
 @pytest.mark.parametrize(("at_slave", "at_master", "words"), [
     (("hard_wall", "--set", "k_e=1000"), ("hard_wall",), ["k_e is", "1000.0", "20000.0", "--set k_e="]),
-    (("canonical", "--lockstep", "--seed", "1"), ("canonical", "--lockstep", "--seed", "2"), ["seed is", "1", "2"]),
+    pytest.param(("canonical", "--lockstep", "--seed", "1"), ("canonical", "--lockstep", "--seed", "2"),
+                 ["seed is", "1", "2"], marks=pytest.mark.full),
     (("hard_wall",), ("hard_wall", "--lockstep"), ["mode is", "live", "lockstep"]),
 ], ids=["knob", "seed", "mode"])
 def test_ends_that_differ_stop_both_and_leave_nothing(
@@ -179,7 +180,8 @@ def test_whoever_waits_is_told_what_may_be_wrong_while_it_waits(command: Start) 
             assert has in hint
 
 
-@pytest.mark.parametrize("closed", [{"slave": "1", "master": "2"}, {"slave": "1 2", "master": "1 2"}], ids=str)
+@pytest.mark.parametrize("closed", [
+    {"slave": "1 2", "master": "1 2"}, pytest.param({"slave": "1", "master": "2"}, marks=pytest.mark.full)], ids=str)
 def test_an_end_whose_streams_are_closed_runs_to_its_end(closed: dict[str, str], tmp_path: Path) -> None:
     """As under a service manager. What cannot be said ended the run, at both ends."""
     at = f"127.0.0.1:{free_port()}"
@@ -196,7 +198,8 @@ def test_an_end_whose_streams_are_closed_runs_to_its_end(closed: dict[str, str],
 # Stopping
 
 
-@pytest.mark.parametrize(("who", "number"), [("slave", signal.SIGINT), ("master", signal.SIGTERM)])
+@pytest.mark.parametrize(("who", "number"), [
+    ("slave", signal.SIGINT), pytest.param("master", signal.SIGTERM, marks=pytest.mark.full)])
 def test_a_signal_stops_both_ends_and_both_keep_what_they_have(
     who: str, number: signal.Signals, command: Start, tmp_path: Path
 ) -> None:

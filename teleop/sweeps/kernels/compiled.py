@@ -60,7 +60,7 @@ loop = jit_at(LOOP, LINES, globals())  # the number of each line in the file of 
 
 {kernels}'''
 KERNEL = '''
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)
 def {name}(tiles, reals, wholes, arrays, ticks, plays, paths, sizes, lags, start, window, last, out):
     for t in range(tiles):
         base = t * {reals}
@@ -151,10 +151,13 @@ def _text_of(name: str) -> str:
 
 
 def jit(function: Callable[..., Any]) -> Any:
-    """A function compiled as every part of a kernel is: numpy's errors, no lock, no fast-math."""
+    """A function compiled as every part of a kernel is: numpy's errors, no lock, no fast-math.
+
+    Only compiled code calls it. Wrappers for Python and C would take about half of the compiling.
+    """
     from numba import njit
 
-    compiled: Any = njit(error_model="numpy", nogil=True)
+    compiled: Any = njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     return compiled(function)
 
 

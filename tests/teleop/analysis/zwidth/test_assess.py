@@ -33,8 +33,10 @@ LEVERS = ["as it is", "damping x2", "encoder", "rate x2", "velocity filter", "vi
 
 @pytest.fixture(scope="module")
 def found() -> ZWidth:
-    """That of the built-in wall."""
-    return assess(load_scene("virtual_wall"))
+    """That of the built-in wall, its runs in virtual time a quarter as long."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(teleop.analysis.zwidth.assess, "LASTING", 0.4)
+        return assess(load_scene("virtual_wall"))
 
 
 def test_of_several_axes_one_is_asked(found: ZWidth) -> None:
@@ -108,8 +110,11 @@ class TestLevers:
         own = rows(assess(scene, span_B=Span(0.0, 0.1)))
         assert (own["as it is"]["K_at_rest"] or 0.0) > 1.5 * (own["no controller"]["K_at_rest"] or 1e9)
 
-    def test_a_coupled_scene_is_asked_too(self) -> None:
-        own = rows(theory(load_scene("virtual_coupling")))
+    def test_a_coupled_scene_is_asked_too(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        scene = load_scene("virtual_coupling")
+        both = [lever for lever in levers(scene) if lever.name in ("as it is", "no coupling")]
+        monkeypatch.setattr(teleop.analysis.zwidth.assess, "levers", lambda _: iter(both))
+        own = rows(theory(scene))
         assert own["as it is"]["passive_K"] == pytest.approx(1600.0, rel=1e-4)
         assert own["no coupling"]["passive_K"] == pytest.approx(1600.0, rel=1e-6)
 
@@ -146,7 +151,9 @@ class TestPlane:
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs in virtual time too short to be trusted."""
+    """Runs in virtual time too short to be trusted, of four levers."""
+    few = list(islice(levers(load_scene("virtual_wall")), 4))
+    monkeypatch.setattr(teleop.analysis.zwidth.assess, "levers", lambda _: iter(few))
     monkeypatch.setattr(teleop.analysis.zwidth.assess, "LASTING", 0.1)
     monkeypatch.setattr(teleop.analysis.zwidth.assess, "TICKS", (100, 100))
 
@@ -165,7 +172,7 @@ class TestInterrupt:
         assert got.base.curves.width == pytest.approx(253.809, abs=1e-3)
         assert (got.stable is None) == (text == "stable region")
         names = [row.name for row in got.rows]
-        assert names == (LEVERS[:1] if text == "stable region" else LEVERS[:3] if text == "rate x2" else LEVERS)
+        assert names == (LEVERS[:1] if text == "stable region" else LEVERS[:3] if text == "rate x2" else LEVERS[:4])
         assert len(got.measured) == (5 if "damping" in text else 0)
         told = json.loads(json.dumps(summary(got), allow_nan=False))
         assert told["status"] == "interrupted"
@@ -178,11 +185,7 @@ class TestInterrupt:
         with pytest.raises(KeyboardInterrupt):
             assess(load_scene("virtual_wall"), show=stop)
 
-    def test_progress_goes_from_nothing_to_all_and_never_back(
-        self, short: None, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        few = list(islice(levers(load_scene("virtual_wall")), 3))
-        monkeypatch.setattr(teleop.analysis.zwidth.assess, "levers", lambda _: iter(few))
+    def test_progress_goes_from_nothing_to_all_and_never_back(self, short: None) -> None:
         parts: list[float] = []
         assess(load_scene("virtual_wall"), show=lambda *told: parts.append(told[0]))
         assert parts == sorted(parts)

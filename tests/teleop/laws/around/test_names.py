@@ -86,7 +86,7 @@ def test_a_stage_of_ones_own_runs_in_every_engine_to_the_bit(monkeypatch: pytest
     pytest.importorskip("numba")
     monkeypatch.setitem(STAGES, "softer", f"{__name__}:Softer")
     axes = {"law.softer_share": [0.5, 1.0], "law.guard_k": [5000.0, 1.0]}
-    fixed = {"law": "guard | softer | direct", "duration": 0.3}
+    fixed = {"law": "guard | softer | direct", "duration": 0.3, "energy": False}
     plain, *compiled = [sweep("free_motion", axes, fixed=fixed, engine=engine, metrics=["x_err_rms"])["x_err_rms"]
                         for engine in ("plain", "vector")]
     assert len(set(plain)) == 4

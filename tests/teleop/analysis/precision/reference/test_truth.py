@@ -52,7 +52,7 @@ def pressed() -> Precision:
     """A blow against a Hunt-Crossley body, and some ticks of pressing it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(teleop.analysis.precision.measure, "TOLERANCES", (1e-6,))
-        return measure(strike(environment=HC, duration=0.05), clock=clock(), rounds=1)
+        return measure(strike(environment=HC, duration=0.03), clock=clock(), rounds=1)
 
 
 def by_key(got: Precision) -> dict[str, Entry]:
@@ -224,7 +224,7 @@ class TestTheContenders:
         assert "left out" in table(got)
 
     def test_what_misses_and_what_diverges_on_a_stiff_body_is_marked_and_kept(self, quick: None) -> None:  # noqa: F811
-        stiff = strike(environment=HuntCrossley(k=1e13, lam=0.1, at=1.0005e-3), duration=0.06, x_limit=10.0)
+        stiff = strike(environment=HuntCrossley(k=1e13, lam=0.1, at=1.0005e-3), duration=0.03, x_limit=10.0)
         got = measure(stiff, clock=clock(), rounds=1)
         entries = by_key(got)
         assert (got.result.status, entries["default"].missed) == ("ok", 0)
