@@ -395,10 +395,10 @@ class TestTheCommand:
         assert number("frequency", told["frequency"], above=0.0) == pytest.approx(3.14, abs=0.01)
 
     def test_finds_a_critical_value_in_virtual_time(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(report, "PLACES", 3)
+        monkeypatch.setattr(report, "PLACES", 4)  # and none so near the edge that its run is long
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--time", "--critical", "delay",
-                       "--range", "0.01:0.02", "--tol", "1e-3", "--json")
-        assert json.loads(answer.out)["critical"]["value"] == pytest.approx(0.0145, abs=1.5e-3)
+                       "--range", "0.005:0.05", "--tol", "4e-3", "--json")
+        assert json.loads(answer.out)["critical"]["value"] == pytest.approx(0.0145, abs=2e-3)
 
     def test_said_nothing_while_it_searched_and_lost_all_by_an_interrupt(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
