@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import os
 import signal
 import socket
@@ -154,6 +155,21 @@ def test_a_signal_is_noted_and_the_first_one_counts() -> None:
             time.sleep(0.001)
             assert interrupt.name == number.name
         assert {each: signal.getsignal(each) for each in before} == before
+
+
+def test_a_signal_that_foreign_code_took_is_taken_back_however_it_was_taken() -> None:
+    with Interrupt() as interrupt:
+        for taken in (lambda: signal.signal(signal.SIGTERM, lambda *_: None),
+                      lambda: signal.signal(signal.SIGTERM, signal.SIG_DFL),
+                      lambda: signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM]),
+                      lambda: ctypes.CDLL(None).signal(15, 0)):
+            taken()
+            interrupt.retake()
+            assert interrupt.pop_retaken() == ["SIGTERM"]
+            interrupt.name = None
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert interrupt.name == "SIGTERM"
+        assert interrupt.times == 4
 
 
 def test_an_event_loop_leaves_the_note_alone() -> None:

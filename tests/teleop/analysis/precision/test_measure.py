@@ -203,7 +203,7 @@ class TestAComparison:
         assert (shown[0], shown[-1]) == (0.0, 1.0)
 
     def test_what_diverges_or_misses_is_marked_and_kept(self, quick: None) -> None:
-        hard = strike(environment=Wall(k=1e9, d=0.0, at=1e-3), duration=0.1)
+        hard = strike(environment=Wall(k=1e9, d=0.0, at=1e-3), duration=0.2)
         got = measure(hard, clock=count(0, 1000).__next__, rounds=1)
         entries = by_key(got)
         assert got.result.status == "ok"
