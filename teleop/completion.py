@@ -31,7 +31,8 @@ FOLDERS = {
     "zsh": "~/.teleop.zsh, sourced by ~/.zshrc behind compinit",
     "fish": "~/.config/fish/completions/teleop.fish",
 }
-ENGINES = {"plain": "in Python", "scalar": "compiled, a row at a time", "vector": "compiled, rows side by side"}
+ENGINES = {"plain": "in Python", "c": "by the C compiler, a row at a time", "scalar": "by numba, a row at a time",
+           "vector": "by numba, eight rows at once"}
 
 
 def command(args: Namespace) -> Answer:

@@ -7,7 +7,7 @@ import math
 import re
 from contextlib import suppress
 from dataclasses import is_dataclass
-from functools import reduce
+from functools import partial, reduce
 from inspect import CO_VARARGS, CO_VARKEYWORDS
 from types import FunctionType, MethodType
 from typing import Any
@@ -57,6 +57,8 @@ class Calls(CExpressions):
             kind: Any = function
             rest = [keywords.get(name, Known(kind._field_defaults.get(name))) for name in kind._fields[len(arguments):]]
             return TupleParts((*arguments, *rest), function)
+        if isinstance(function, partial) and not function.keywords:
+            return self.apply(function.func, [*map(Known, function.args), *arguments], keywords)
         if isinstance(function, FunctionType):
             return self.call(function, arguments, keywords)
         if keywords and function is not zip:
@@ -153,9 +155,14 @@ class Calls(CExpressions):
         """A call of a function that is printed too."""
         code, defaults = function.__code__, function.__defaults__ or ()
         names, values = code.co_varnames[:code.co_argcount], [*arguments]
-        if code.co_flags & CO_VARARGS and not keywords and not code.co_kwonlyargcount and len(values) >= len(names):
-            return self.program.inlined(function, [*values[:len(names)], TupleParts(tuple(values[len(names):]))], self)
-        if len(values) > len(names) or code.co_flags & (CO_VARARGS | CO_VARKEYWORDS) or code.co_kwonlyargcount:
+        stars = CO_VARARGS | CO_VARKEYWORDS
+        only_names = bool(keywords or code.co_kwonlyargcount)
+        if code.co_flags & stars == CO_VARARGS and not only_names and len(values) >= len(names):
+            values, stars = [*values[:len(names)], TupleParts(tuple(values[len(names):]))], 0
+            names = code.co_varnames[:len(values)]
+            if (answer := self.program.inlined(function, values, self)) is not None:
+                return answer
+        if len(values) > len(names) or code.co_flags & stars or code.co_kwonlyargcount:
             raise self.refused(f"{function.__qualname__} has starred arguments or ones by name alone, or too many")
         for i, name in enumerate(names[len(values):], len(values)):
             back = len(names) - i

@@ -11,7 +11,7 @@ import ast
 import operator
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import reduce
 from inspect import getattr_static
@@ -25,6 +25,7 @@ from teleop.emit.types import (
     DOUBLE,
     INT,
     KEYWORDS,
+    LIST,
     MIXED,
     NOTHING,
     REALS,
@@ -89,6 +90,7 @@ class CExpressions(Evaluator[Value]):
         self.program, self.types, self.function = program, program.types, function
         self.file, self.line = function.__code__.co_filename, function.__code__.co_firstlineno
         self.scope: dict[str, Value] = {}  # what each name stands for
+        self.names: Mapping[str, Any] = {}  # what generated lines find by name, in place of the function's own globals
         self.faults = False
 
     def refused(self, why: str) -> NotPrinted:
@@ -242,6 +244,8 @@ class CExpressions(Evaluator[Value]):
         word, function = node.id, self.function
         if word in self.scope:
             return self.scope[word]
+        if word in self.names:
+            return Known(self.names[word])
         if word in function.__code__.co_varnames:
             raise self.refused(f"{word} is not set on every way to here; set it before the `if`")
         if word in function.__code__.co_freevars:
@@ -278,9 +282,11 @@ class CExpressions(Evaluator[Value]):
         at = self.evaluate(node.slice)
         if isinstance(inner, Known) and isinstance(at, Known):
             return Known(inner.value[at.value])
-        if isinstance(at, Known):
+        if isinstance(at, Known) and getattr(inner, "type", None) != LIST:
             return self.made_of(self.parts(inner)[at.value], inner)
         printed = self.whole(inner)
+        if printed.type == LIST:
+            return Printed(DOUBLE, f"{printed.text}[{bare(self.to(at, INT))}]")
         if not isinstance(printed.type, Array) or printed.type.bare:
             raise self.refused(f"{ast.unparse(node)} takes a part of unlike ones by a number that is not known")
         index = self.helper("py_index", bare(self.to(at, INT)), str(printed.type.count), faults=True)
@@ -360,6 +366,9 @@ class CExpressions(Evaluator[Value]):
                 return left
             a, b = bare(self.to(left, INT)), bare(self.to(right, INT))
             return Printed(INT, self.helper("py_idiv", a, b, faults=True))
+        if isinstance(op, ast.Pow) and self.program.powers and kind != INT:
+            base, power = (bare(self.to(each, DOUBLE)) for each in (left, right))
+            return Printed(DOUBLE, self.helper("py_libm", f"pow({base}, {power})", base, faults=True))
         instead = {ast.Pow: "`**` is rounded otherwise from one libm to the next; write x * x",
                    ast.FloorDiv: "`//` has no line in C; write floor(a / b)"}
         raise self.refused(instead.get(type(op), f"{type(op).__name__} has no line in C"))

@@ -11,7 +11,7 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 from teleop.emit.calls import Calls
-from teleop.emit.expressions import NUMBERS, CExpressions, bare, c_word
+from teleop.emit.expressions import NUMBERS, CExpressions, bare, c_word, texts_of
 from teleop.emit.primitives import HELPERS
 from teleop.emit.types import DOUBLE, FLOAT, INT, NOTHING, Array, Printed, TupleParts, Types, Value
 from teleop.simulation.expressions import Known, NotSpecialised, functions_in
@@ -39,7 +39,8 @@ class CFunction(NamedTuple):
 class Program:
     """Contents of one C file: types, helpers, and functions in the order in which they call each other."""
 
-    def __init__(self, prefix: str, real: str = DOUBLE) -> None:
+    def __init__(self, prefix: str, real: str = DOUBLE, *, powers: bool = False) -> None:
+        self.powers = powers  # the `pow` of libm, which is Python's own where both are of one machine
         self.types = Types(prefix, real)
         self.prefix, self.suffix = prefix, "f" * (real == FLOAT)
         self.helpers: set[str] = set()
@@ -66,12 +67,13 @@ class Program:
         assert result is not None
         return result
 
-    def inlined(self, function: FunctionType, values: list[Value], caller: CExpressions) -> Value:
-        """Answer of a function of one line, whose last argument has a star, in the place of its call."""
+    def inlined(self, function: FunctionType, values: list[Value], caller: CExpressions) -> Value | None:
+        """Answer of a function of one line, whose last argument has a star, in the place of its call; else None."""
         inner = Statements(self, function)
-        line = inner.definition()[0][-1]
-        if not isinstance(line, ast.Return) or line.value is None:
-            raise caller.refused(f"{function.__qualname__} has a starred argument and lines of its own")
+        body = inner.definition()[0]
+        line = body[-1]
+        if len(body) > 2 or not isinstance(line, ast.Return) or line.value is None:
+            return None
         inner.scope = dict(zip(function.__code__.co_varnames, values, strict=False))
         answer = inner.made_of(inner.evaluate(line.value), *values)
         caller.faults = caller.faults or inner.faults
@@ -121,6 +123,7 @@ class Statements(Calls):
         self.stores: Counter[str] = Counter()
         self.words: dict[str, str] = {}  # of names that stand for another variable by now
         self.depth = 1
+        self.level = 1  # of the lines that always run, where a name may stand for another variable
         self.loops = 0
         self.copies = 0
 
@@ -152,7 +155,7 @@ class Statements(Calls):
         """The function for these arguments."""
         code = self.function.__code__
         body, doc, first = self.definition()
-        names = code.co_varnames[:code.co_argcount]
+        names = code.co_varnames[:len(arguments)]  # with the one that has a star
         known = dict(zip(names, arguments, strict=True))
         parameters = {word: c_word(word) for word, value in known.items()
                       if isinstance(value, Printed) and value.type != NOTHING}
@@ -291,7 +294,8 @@ class Statements(Calls):
             return
         if not isinstance(target, ast.Name):
             raise self.refused(f"{ast.unparse(target)} cannot be set in C; make a new tuple")
-        self.set_name(target.id, value)
+        if target.id != "_" or any("fault" in each for each in texts_of(value)):
+            self.set_name(target.id, value)
 
     def set_name(self, name: str, value: Value) -> None:
         """Set a variable."""
@@ -306,11 +310,15 @@ class Statements(Calls):
         if printed.type == NOTHING:
             self.scope[name] = value
             return
-        word = self.words.get(name, name)
+        # Another tuple by the same name is another variable.
+        words = [self.words.get(name, name)]
+        if self.depth == self.level and self.loops == self.level - 1:
+            words += [name, f"{name}_next"]
+        word = next((each for each in words if self.types.join(self.kinds.get(each), printed.type)), words[0])
         kind = self.types.join(self.kinds.get(word), printed.type)
-        if kind is None and self.depth == 1 and not self.loops:  # another tuple by the same name: another variable
-            word = self.words[name] = f"{word}_next"
-            kind = self.types.join(self.kinds.get(word), printed.type)
+        if word != words[0]:
+            self.words = {**self.words, name: word} if word != name else {
+                each: self.words[each] for each in self.words if each != name}
         if kind is None:
             raise self.refused(f"{name} is once {self.kinds[word]} and once {printed.type}")
         self.kinds[word] = kind

@@ -73,13 +73,6 @@ class TickPrinter(Statements):
         super().__init__(program, live)
         self.names = names
 
-    def _Name(self, node: ast.Name) -> Value:
-        if node.id in self.scope:
-            return self.scope[node.id]
-        if node.id in self.names:
-            return Known(self.names[node.id])
-        return super()._Name(node)
-
     def whole(self, value: Value) -> Printed:
         if isinstance(value, Known) and isinstance(value.value, StartReading):
             return self.whole(self.scope[f"x_read_{self.names['@end']}{value.value.axis}"])

@@ -18,6 +18,7 @@ FLOAT = "float"
 FLOATS = 2.0**-126, 2.0**128  # the numbers of float that are not subnormal: from, and below
 WHOLE, MIXED = "whole", "mixed"  # reals of C: an int of Python, as of `floor`, whose 0 has no sign; an int or a float
 REALS = (WHOLE, DOUBLE, MIXED)
+LIST = "const double *"  # a list of numbers, by its address
 SCALARS = (BOOL, INT, *REALS)  # each holds the values of those before it, but for the zeros
 
 
@@ -131,7 +132,8 @@ class Types:
         if all(kind is kinds[0] or kind == kinds[0] for kind in kinds) and kinds[0] != NOTHING:
             return self.array(kinds[0], len(kinds))
         names = "_".join(kind if isinstance(kind, str) else kind.name for kind in kinds)
-        return self.struct(f"Pair_{names}"[:60], {f"part{i}": kind for i, kind in enumerate(kinds)})
+        name = "Pair_" + re.sub(r"\W+", "_", names)[:55]
+        return self.struct(name, {f"part{i}": kind for i, kind in enumerate(kinds)})
 
     def of_value(self, value: Any) -> Type:
         """The type of a value that Python has."""
@@ -141,6 +143,8 @@ class Types:
             return INT
         if isinstance(value, float):
             return DOUBLE
+        if isinstance(value, list):
+            return LIST
         if isinstance(value, tuple) and hasattr(value, "_fields"):
             kinds = dict(zip(value._fields, map(self.of_value, value), strict=True))
             texts = {name: getattr(value, name) for name, kind in kinds.items()

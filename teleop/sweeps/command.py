@@ -13,6 +13,7 @@ from teleop.errors import Refused, number_of, plural
 from teleop.scene.scene import Scene
 from teleop.simulation.notes import untuned
 from teleop.simulation.result import head, law_with_gains, parameters
+from teleop.sweeps.engine import NUMBA
 from teleop.sweeps.grid import grid, parse_axes, parse_ranges, sampled
 from teleop.sweeps.pictures import report
 from teleop.sweeps.pictures.picture import check
@@ -44,7 +45,7 @@ class SweepOutcome(NamedTuple):
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
         """The sweep as JSON can hold it, without its rows: the content of summary.json."""
         plan = self.plan
-        compilers = () if all(engine == "plain" for engine, _ in plan.ran) else ("numba", "llvmlite")
+        compilers = ("numba", "llvmlite") if any(engine in NUMBA for engine, _ in plan.ran) else ()
         seeds, knobs = plan.grid.seeds, plan.grid.knobs
         return {
             **head(status="interrupted" if self.interrupted else "done", scene=plan.scene, mode="sweep",

@@ -1,7 +1,7 @@
-"""The engine of a sweep: which of plain, scalar and vector runs its rows, and the kernel that an engine makes.
+"""The engine of a sweep: which of plain, c, scalar and vector runs its rows, and the kernel that an engine makes.
 
-An engine is chosen once for a sweep (`choose`). A structure of scene that it has no kernel for falls back to the
-engine behind it, row by row the same bits: vector to scalar, scalar to plain.
+An engine is chosen once for a sweep (`choose`). A structure of scene that it has no kernel for falls back to the next
+that is installed, row by row the same bits: vector to c, c to scalar, scalar to plain.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pickle import UnpicklingError
 from threading import Lock
 from typing import Any
 
-from teleop.errors import Refused, nearest
+from teleop.errors import Refused, nearest, number_of
 from teleop.law import functions_of
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
@@ -43,9 +43,10 @@ from teleop.sweeps.kernels.kernel import (
 
 Measure = str | Callable[["Result"], float]
 
-ENGINES = ("plain", "scalar", "vector")
-FALLBACK = {"vector": "scalar", "scalar": "plain"}
-WORTH = 4.0  # s of plain Python above which compiling is worth its time
+ENGINES = ("plain", "c", "scalar", "vector")
+NUMBA = ("scalar", "vector")  # engines that compile by numba
+WORTH = 2.0  # s of plain Python above which compiling is worth its time
+LONG = 1000.0  # s of plain Python above which eight rows at once make up for the seconds that numba compiles longer
 PLAIN = 4e-6  # s a tick, about
 FEW = 16  # rows that are not worth putting side by side
 STAMPED = frozenset(("E_fwd_min", "E_bwd_min"))  # a run with waves and energies alone has them
@@ -62,21 +63,42 @@ def choose(engine: str | None, scene: Scene, rows: int, measures: Sequence[Measu
     if engine is not None:
         if engine not in ENGINES:
             raise Refused(f"there is no engine {engine!r}; {nearest(engine, ENGINES)}")
-        if engine != "plain":
+        if engine in NUMBA:
             from teleop.sweeps.kernels.compiled import need_numba
 
             need_numba(engine)
+        if engine == "c" and not is_installed("c"):
+            raise Refused("engine c needs a C compiler (cc, gcc or clang), and none is found; install one, or take "
+                          "--engine plain")
         return engine, "as asked for"
     if needs_record(measures, scene):
         return "plain", WHOLE
     seconds = PLAIN * scene.ticks * rows
     if seconds < WORTH:
         return "plain", f"about {seconds:.2g} s of plain Python, less than compiling takes"
-    if importlib.util.find_spec("numba") is None:
-        return "plain", "numba is not installed; with it this would be some 50 times faster (the extra `batch`)"
-    if rows < FEW:
-        return "scalar", f"about {seconds:.3g} s of plain Python in {rows} rows, so it is compiled for one at a time"
-    return "vector", f"about {seconds:.3g} s of plain Python, so it is compiled for eight rows at once"
+    enough = f"about {seconds:.3g} s of plain Python"
+    if is_installed("vector") and rows >= FEW and (seconds >= LONG or not is_installed("c")):
+        return "vector", f"{enough}, so it is compiled for eight rows at once"
+    for name, by in (("c", "C"), ("scalar", "numba")):
+        if is_installed(name):
+            return name, f"{enough} in {number_of(rows, 'row')}, so it is compiled by way of {by} for one at a time"
+    return "plain", ("there is neither a C compiler nor numba; with gcc, clang or the extra `batch` this would be some "
+                     "50 times faster")
+
+
+def is_installed(engine: str) -> bool:
+    """True if this machine has what an engine compiles with."""
+    if engine == "c":
+        from teleop.emit.compiled import find_compiler
+
+        return find_compiler() is not None
+    return engine == "plain" or importlib.util.find_spec("numba") is not None
+
+
+def plainer(engine: str) -> str:
+    """The engine that takes over what another has no kernel for."""
+    behind = {"vector": ("c", "scalar"), "c": ("scalar",)}
+    return next(filter(is_installed, behind.get(engine, ())), "plain")
 
 
 def needs_record(measures: Sequence[Measure], scene: Scene) -> bool:
@@ -150,7 +172,8 @@ def _make_kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine
         return plain_kernel(scene, bodies, measures)._replace(why=why)
     from teleop.sweeps.kernels.compiled import cause
 
-    make = getattr(import_module("teleop.sweeps.kernels.engines"), f"{engine}_kernel")
+    home = "c_kernel" if engine == "c" else "engines"
+    make = getattr(import_module(f"teleop.sweeps.kernels.{home}"), f"{engine}_kernel")
     two = prepare(replace(scene, duration=min(scene.ticks, 2) * scene.dt))  # ticks, enough to have it compiled
     inputs = RowInputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
                    LinkSchedule.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))
@@ -162,6 +185,6 @@ def _make_kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine
             kernel = make(scene, bodies, measures, keep=False)
             figures(kernel, [inputs])
     except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
-        return _make_kernel(scene, bodies, measures, FALLBACK[engine], cause(error))
+        return _make_kernel(scene, bodies, measures, plainer(engine), cause(error))
     return kernel._replace(why=why, fallback=lambda reason: _make_kernel(
-        scene, bodies, measures, FALLBACK[engine], reason))
+        scene, bodies, measures, plainer(engine), reason))

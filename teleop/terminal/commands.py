@@ -147,8 +147,8 @@ def _sweep(added: ArgumentParser) -> None:
     added.add_argument("--random", metavar="N", type=whole, help="the same, each point by itself")
     added.add_argument("--metrics", metavar="NAMES", help="which metrics, joined by commas; left out: the tracking "
                        "error, the largest force, the energies")
-    added.add_argument("--engine", metavar="NAME", help="plain, or compiled: scalar, vector (extra `batch`); left "
-                       "out: by the amount of work")
+    added.add_argument("--engine", metavar="NAME", help="plain, or compiled: c (by a C compiler), scalar, "
+                       "vector (extra `batch`); left out: by the amount of work")
     added.add_argument("--workers", metavar="N", type=whole, help="rows run in N threads; left out: one for each core")
     added.add_argument("--cluster", metavar="ADDRESS", help="HOST:PORT of a dask scheduler whose workers run the rows "
                        "(needs the extra `cluster`); left out: this machine")
@@ -181,7 +181,8 @@ def _tune(added: ArgumentParser) -> None:
                        "where the environment is M times as stiff (knob k_e); left out: 1")
     added.add_argument("--playouts", metavar="LIST", help="playouts that are tried too, joined by commas, for example "
                        "integral,fixed:0.1:integral; left out: the scene's alone")
-    added.add_argument("--engine", metavar="NAME", help="plain, scalar or vector; left out: by the amount of work")
+    added.add_argument("--engine", metavar="NAME", help="plain, c, scalar or vector; left out: by the amount of "
+                       "work")
     added.add_argument("--workers", metavar="N", type=whole, help="rows run in N threads; left out: one for each core")
     _out(added, "LAW-tune")
     _json(added)

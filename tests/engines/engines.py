@@ -22,6 +22,7 @@ from teleop.simulation.prepared import prepare
 from teleop.simulation.source import RowRecorder, bind, functions, loop_of
 from teleop.simulation.structure import run_of, structure_of
 from teleop.simulation.tick import loop
+from teleop.sweeps.kernels.c_kernel import c_kernel
 from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
 from teleop.sweeps.kernels.figures import ALONG
 from teleop.sweeps.kernels.kernel import (
@@ -38,7 +39,7 @@ from teleop.sweeps.kernels.lanes import WIDTH
 from tests.engines.cases import CASES
 from tests.teleop.emit.printed import assert_same
 
-MAKERS = {"plain": plain_kernel, "scalar": scalar_kernel, "alike": vector_kernel, "apart": vector_kernel}
+MAKERS = {"plain": plain_kernel, "c": c_kernel, "scalar": scalar_kernel, "alike": vector_kernel, "apart": vector_kernel}
 Rows = list[tuple[str, int, dict[str, float]]]  # status, ticks and figures of each scene
 
 

@@ -2,7 +2,8 @@
 
     tick     the loop that is made of the tick, beside the tick as it stands
     plain    a kernel in plain Python, beside single runs
-    scalar   that kernel compiled for one scene at a time, beside the plain one
+    c        that kernel printed as C and compiled, beside the plain one
+    scalar   that kernel compiled by numba for one scene at a time, beside the plain one
     alike    compiled for eight side by side that share link and path
     apart    the same, each with a link and a path of its own
     stepped  two ends with their protocol, stepped in one process, beside a single run
@@ -21,6 +22,7 @@ import re
 import pytest
 
 from teleop import Refused
+from teleop.emit.compiled import COMPILERS
 from teleop.scene.library import built_in_scenes
 from teleop.sweeps.kernels.kernel import NotVectorised
 from tests.engines.cases import CASES
@@ -33,49 +35,51 @@ from tests.engines.engines import (
     plain_rows,
     scenes_of,
 )
+from tests.programs import program
 
 TABLE = """
-                                        tick  plain  scalar  alike  apart  stepped printed
-waves by their integral                 X     X      X       f      x      X       f
-waves of three axes                     f     f      f       f      f      f       f
-waves, ticks left out                   X     f      f              f      -       f
-waves, energy                           f     X      f              f      f       f
-waves, energy, ticks left out           f     f      f              f      -       f
-waves, fixed                            f     X      f              f      f       f
-waves, fixed, ticks left out            f     f      f              f      -       f
-waves, scaled, ticks left out           f     f      f              f      -       f
-forces that diverge                     f     X      f       f      f      X       f
-forces that diverge, constant delays    f     f      f       f      f      f       f
-limits, devices and a watchdog          X     X      f       f      x      X       X
-ticks left out                          X     X      f       x      f      -       f
-a one-port                              X     X      X       X      f      -       f
-a user's law, a clutch and gaps         X     X      x       f      X      X       X
-a user's law in two axes                f     f      f       f      f      f       f
-a clutch and a small slew limit         f     f      f       f             f       f
-a deadband                              X     X      f       f      f      -       f
-stages around a law                     f     X      f       f      f      f       X
-a coupling with branches                f     f      f       f      f      -       f
-axes of their own                       X     X      f       f      f      X       f
-eleven axes                             X     X      f                     f       f
-coupled axes without a link             X     X      f       f      f      f       f
-rotations                               X     X      x       f      f      X       f
-six axes                                f     f      f              f      f       f
-friction                                X     X      f       -      -      f       f
-soft and relaxing bodies that move      X     X      f       -      -      f       f
-relaxing, moved and none                f     f      f       -      -      f       f
-windows of readings                     X     X      x                     f       f
-end fit, friction                       f     f      f                     -       f
-best fit, electrical damping            f     f      f                     -       f
-end fit of one reading                  f     f      f                     -       f
-levant                                  f     f      f                     -       f
+                                        tick  plain  c      scalar  alike  apart  stepped printed
+waves by their integral                 X     X      X      X       f      x      X       f
+waves of three axes                     f     f      f      f       f      f      f       f
+waves, ticks left out                   X     f      X      f              f      -       f
+waves, energy                           f     X      X      f              f      f       f
+waves, energy, ticks left out           f     f      f      f              f      -       f
+waves, fixed                            f     X      X      f              f      f       f
+waves, fixed, ticks left out            f     f      f      f              f      -       f
+waves, scaled, ticks left out           f     f      X      f              f      -       f
+forces that diverge                     f     X      X      f       f      f      X       f
+forces that diverge, constant delays    f     f      f      f       f      f      f       f
+limits, devices and a watchdog          X     X      X      f       f      x      X       X
+ticks left out                          X     X      X      f       x      f      -       f
+a one-port                              X     X      X      X       X      f      -       f
+a user's law, a clutch and gaps         X     X      X      x       f      X      X       X
+a user's law in two axes                f     f      f      f       f      f      f       f
+a clutch and a small slew limit         f     f      f      f       f             f       f
+a deadband                              X     X      X      f       f      f      -       f
+stages around a law                     f     X      X      f       f      f      f       X
+a coupling with branches                f     f      X      f       f      f      -       f
+axes of their own                       X     X      f      f       f      f      X       f
+eleven axes                             X     X      f      f                     f       f
+coupled axes without a link             X     X      X      f       f      f      f       f
+rotations                               X     X      X      f       f      f      X       f
+six axes                                f     f      f      f              f      f       f
+friction                                X     X      X      f       -      -      f       f
+soft and relaxing bodies that move      X     X      X      f       -      -      f       f
+relaxing, moved and none                f     f      X      f       -      -      f       f
+windows of readings                     X     X      X      f                     f       f
+end fit, friction                       f     f      X      f                     -       f
+best fit, electrical damping            f     f      f      f                     -       f
+end fit of one reading                  f     f      f      f                     -       f
+levant                                  f     f      X      f                     -       f
 """
 HEAD, *LINES = TABLE.strip("\n").splitlines()
 PLACES = {word.group(): word.start() for word in re.finditer(r"\S+", HEAD)}
 CELLS = {(line[:40].strip(), engine): line[place:place + 1].strip()
          for line in LINES for engine, place in PLACES.items()}
 COMPILED = ("canonical", "recorded_reach", "encoder_wall", "virtual_coupling", "jittery_wan")
-CELLS |= {(name, engine): "f" for name in built_in_scenes() if name != "lte" for engine in ("tick", "plain", "printed")}
-CELLS |= {(name, "scalar"): "f" for name in COMPILED} | {("relaxing_tissue", "scalar"): "x"}  # with an inner state
+CELLS |= {(name, engine): "f" for name in built_in_scenes() if name != "lte"
+          for engine in ("tick", "plain", "c", "printed")}
+CELLS |= {(name, "scalar"): "f" for name in COMPILED}
 RUN = [pytest.param(name, engine, id=f"{engine}-{name.replace(' ', '_')}", marks=[pytest.mark.full] * (cell == "f"))
        for (name, engine), cell in CELLS.items() if cell in ("X", "x", "f")]
 
@@ -88,8 +92,11 @@ def test_the_table_has_every_case() -> None:
 
 @pytest.mark.parametrize(("name", "engine"), RUN)
 def test_an_engine_gives_the_bits_of_a_single_run(name: str, engine: str) -> None:
+    if engine == "c":
+        program(*COMPILERS)
     if engine in ("scalar", "alike", "apart"):
         pytest.importorskip("numba")
+    if engine in ("c", "scalar", "alike", "apart"):
         assert_as_plain(name, engine, sums=CELLS[name, engine] != "x")
     else:
         {"tick": assert_as_it_stands, "plain": assert_as_runs, "stepped": assert_stepped,

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from math import ceil, sqrt
 from os import getloadavg
 from pathlib import Path
@@ -27,7 +26,7 @@ from teleop.simulation.notes import unmet
 from teleop.studies.parallel import stream
 from teleop.studies.tune.objective import Score
 from teleop.studies.tune.search import LawSearch, Scored, SearchJob, Tuned
-from teleop.sweeps.engine import PLAIN
+from teleop.sweeps.engine import PLAIN, is_installed
 from teleop.sweeps.grid import json_value
 from teleop.sweeps.kernels.functions import digest
 from teleop.sweeps.runner import cores, plan_sweep
@@ -37,7 +36,7 @@ from teleop.version import __version__
 
 MARGIN = 2.0  # by which the wall may be stiffer in the search
 SETTLED = 20.0  # s after which the time that is left is shown
-COMPILES = 12.0  # s that a law's kernels take to compile, on the machine of `teleop/studies/README.md`
+COMPILES = {"plain": 0.0, "c": 2.0, "scalar": 12.0}  # s, a law's kernels, on the machine of `teleop/studies/README.md`
 FASTER = 60.0  # times, compiled
 LATE = 0.995  # of the packets that come, which a fixed playout delay is to play
 
@@ -263,9 +262,9 @@ class LawSearches:
         self.jobs, self.store, self.workers, self.clock, self.show = jobs, store, workers, clock, show
         first = jobs[0].search
         each = PLAIN * load_scene(first.scene, **first.fixed).ticks
-        compiled = find_spec("numba") is not None and first.engine != "plain"
-        self.outlook = Outlook(len(jobs), first.budget, min(workers, len(jobs)), COMPILES if compiled else 0.0,
-                               each / FASTER if compiled else each)
+        engine = "plain" if first.engine == "plain" else next(filter(is_installed, ("c", "scalar")), "plain")
+        self.outlook = Outlook(len(jobs), first.budget, min(workers, len(jobs)), COMPILES[engine],
+                               each if engine == "plain" else each / FASTER)
         self.points = [len(job.known) for job in jobs]
         self.current, self.ended = "", 0
         self.predicted: float | None = None

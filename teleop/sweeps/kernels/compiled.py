@@ -110,12 +110,12 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: C
         if part.__module__ in INSTRUCTIONS:
             lines += [f"{word} = {part.__name__}"] * (word != part.__name__)
             continue
-        for each in _pieces(part):
+        for each in pieces_of(part):
             if isinstance(each, FunctionType) and (odd := unlike_python(each)):
                 raise NotCompiled(f"{each.__qualname__} has {odd}")
-        places = [_place(word, each) for each in _pieces(part)]
+        places = [_place(word, each) for each in pieces_of(part)]
         lines.append(f"{word} = {engine.part_maker(word)}({', '.join(map(repr, places))})")
-        pieces += _pieces(part)
+        pieces += pieces_of(part)
 
     def class_name(kind: Any) -> str:
         names: tuple[str, ...] = kind._fields
@@ -140,13 +140,14 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: C
                       for name, call in engine.calls.items())
     text = TEXT.format(engine=engine.name, kernels=kernels, parts=os.linesep.join(lines), loop=made.text(),
                        lines=made.lines())
-    stack = [_text_of(name) for name in SOURCES]
+    stack = [text_of(name) for name in SOURCES]
     versions = [sys.version, numba.__version__, numpy.__version__]
     return text, digest([text, *sources(pieces), *stack, *versions])
 
 
 @lru_cache
-def _text_of(name: str) -> str:
+def text_of(name: str) -> str:
+    """The source of a module."""
     return Path(import_module(name).__file__ or "").read_text()
 
 
@@ -181,10 +182,10 @@ def compiled_part(place: str, *inner: str) -> Any:
     return _bound(part_at(place), compiled_part(*inner)) if inner else jitted(part_at(place))
 
 
-def _pieces(part: Any) -> tuple[Any, ...]:
+def pieces_of(part: Any) -> tuple[Any, ...]:
     """A part, or the two that `teleop.physics.plant.bound` made it of."""
     is_bound = isinstance(part, partial) and len(part.args) == 1 and not part.keywords
-    return (part.func, *_pieces(part.args[0])) if is_bound else (part,)
+    return (part.func, *pieces_of(part.args[0])) if is_bound else (part,)
 
 
 def _bound(function: FunctionType, inner: Any) -> Any:

@@ -288,7 +288,12 @@ class TestAWrongRequest:
             monkeypatch.setattr(place, lambda _: None)
         with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[batch\]'"):
             plan_sweep("soft_tissue", engine="scalar")
-        assert plan_sweep("satellite", {"delay": [0.1 * i for i in range(100)]}).engine == "plain"
+        grid = {"delay": [0.1 * i for i in range(100)]}
+        for compiler, engine in (("/usr/bin/cc", "c"), (None, "plain")):
+            monkeypatch.setattr("teleop.emit.compiled.find_compiler", lambda compiler=compiler: compiler)
+            assert plan_sweep("satellite", grid).engine == engine
+        with pytest.raises(Refused, match=r"a C compiler \(cc, gcc or clang\), and none is found"):
+            plan_sweep("soft_tissue", engine="c")
 
 
 class TestWorkers:
