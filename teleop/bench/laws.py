@@ -15,7 +15,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,7 @@ from teleop.simulation.prepared import prepare
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import NAMES
 from teleop.simulation.virtual import run
+from teleop.sweeps.engine import kernel_maker
 from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, leaves, tree_of
 
 MEASURES = ("x_err_rms", "x_err_max")
@@ -44,8 +44,7 @@ def kernel_of(engine: str, scenes: Sequence[Scene], seeds: Sequence[int]) -> Cal
         reference = scene.hand and scene.hand.reference
         path = paths.setdefault(reference, tuple([np.asarray(axis) for axis in reference_samples(scene) or ()]))
         rows.append(RowInputs(None, leaves(tree_of(scene, exact_bodies(scene))), scene.ticks, schedule, path))
-    make = getattr(import_module("teleop.sweeps.kernels.engines"), f"{engine}_kernel")
-    kernel = make(scenes[0], exact_bodies(scenes[0]), MEASURES)
+    kernel = kernel_maker(engine)(scenes[0], exact_bodies(scenes[0]), MEASURES)
     lags = [row.schedule.lags for row in rows]
     return lambda: kernel.run(rows, lags)
 

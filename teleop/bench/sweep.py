@@ -141,7 +141,8 @@ class KernelRun(NamedTuple):
         return kernel_of(self.engine, scenes, [1 + n if self.apart else 1 for n in range(self.rows)])
 
 
-CONSTANT = (KernelRun("scalar", "scalar", 1.8, 1), KernelRun("scalar with ledgers", "scalar", 1.8, 1, energy=True),
+CONSTANT = (KernelRun("c", "c", 1.8, 1), KernelRun("scalar", "scalar", 1.8, 1),
+            KernelRun("scalar with ledgers", "scalar", 1.8, 1, energy=True),
             KernelRun("vector", "vector", 1.0, 8), KernelRun("vector with ledgers", "vector", 1.0, 8, energy=True))
 JITTER = tuple(KernelRun(f"{name}, playout {playout}", engine, bound, rows, apart=apart, playout=playout)
                for playout, bound in (("zero", 1.8), ("integral", None))

@@ -167,13 +167,19 @@ class Stamps:
         return self._constants[key]
 
 
+def kernel_maker(engine: str) -> Callable[..., Kernel]:
+    """The function that makes the kernels of a compiled engine from a scene, its bodies and the figures asked of it."""
+    home = "c_kernel" if engine == "c" else "engines"
+    maker: Callable[..., Kernel] = getattr(import_module(f"teleop.sweeps.kernels.{home}"), f"{engine}_kernel")
+    return maker
+
+
 def _make_kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
     if engine == "plain":
         return plain_kernel(scene, bodies, measures)._replace(why=why)
     from teleop.sweeps.kernels.compiled import cause
 
-    home = "c_kernel" if engine == "c" else "engines"
-    make = getattr(import_module(f"teleop.sweeps.kernels.{home}"), f"{engine}_kernel")
+    make = kernel_maker(engine)
     two = prepare(replace(scene, duration=min(scene.ticks, 2) * scene.dt))  # ticks, enough to have it compiled
     inputs = RowInputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
                    LinkSchedule.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))
