@@ -36,7 +36,7 @@ from teleop.protocol.packet import (
     unwrapped,
 )
 from teleop.protocol.reception import Presence, Reception
-from teleop.protocol.session import RENEW_NS, Session
+from teleop.protocol.session import Session, renew_after
 from teleop.protocol.states import Cause, Reason
 from teleop.protocol.switches import SwitchEvents, switches_of, unlike
 from teleop.scene.playout import Fixed
@@ -183,9 +183,7 @@ class Endpoint:
         dt = self.end_scene.dt_ns / 1e9
         self.format = MessageFormat(scene, e, dt)
         self.guard = ForceGuard(scene.watchdog, dt, every=self.every, stepped=self.stepped)
-        # What came last is played so long after it was sent: until then there is a force, which no session may cut off.
-        played = round(scene.played_as.delay * 1e9) if isinstance(scene.played_as, Fixed) else 0
-        session.liveness.renew_ns = max(session.liveness.renew_ns, played + self.guard.lets_go_ns + RENEW_NS // 10)
+        session.liveness.renew_ns = max(session.liveness.renew_ns, renew_after(scene, self.guard.lets_go_ns))
         self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
         self.presence = Presence(session, self.link, scene.dt_ns, self.every, self.guard.timeout_ns)
         self.held = HeldForce(scene, e, self.every, self.guard)

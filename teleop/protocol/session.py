@@ -42,9 +42,20 @@ from teleop.protocol.estimates import AHEAD_NS, MOST_RTT_NS, ClockExchange
 from teleop.protocol.manifest import EVERY, INSECURE, MOST_CLOCK_NS, TICK_0, manifest_difference, parted
 from teleop.protocol.packet import MOST_CONTROL, Code, Echo, Kind, Packet, code_of, encode, one_line
 from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, Cause, Reason, SessionEvent, SessionState
+from teleop.scene.playout import Fixed
+from teleop.scene.scene import Scene
 
 RENEW_NS = 1_000_000_000  # of silence, and a session is over
 FIRST_NS = 2_000_000_000  # the same before its first message: doubled whenever none came, for a link may be that long
+
+
+def renew_after(scene: Scene, lets_go_ns: int) -> int:
+    """Silence (ns) after which a session of a scene is over, for an end that lets go `lets_go_ns` after a message.
+
+    What came last may be played long after it was sent: until then there is a force, which no session may cut off.
+    """
+    played = round(scene.played_as.delay * 1e9) if isinstance(scene.played_as, Fixed) else 0
+    return max(RENEW_NS, played + lets_go_ns + RENEW_NS // 10)
 
 
 class Liveness:

@@ -17,7 +17,7 @@ from tests.scenarios.examples.compiled import compiled
 SHORT, LONG = 10_000, 1_000_000
 FORMS = [pytest.param(SHORT, id="short"),
          pytest.param(LONG, id="million", marks=[pytest.mark.fuzz, pytest.mark.timeout(3600)])]
-LAWS = {"pp": ["--set", "law=pp"], "wave": []}
+LAWS = {"pp": ["--set", "law=pp"], "wave": [], "fixed": ["--set", "playout=fixed:0.02:integral"]}
 
 
 @pytest.mark.parametrize("datagrams", FORMS)

@@ -213,6 +213,31 @@ def test_waves_and_what_they_come_to_add_up_between_an_end_in_c_and_either_of_ou
     assert all(one == other for one, other in played)
 
 
+def test_a_message_is_played_at_its_tick_by_a_fixed_playout_whichever_end_is_in_c(
+    command: Start, in_c: InC, tmp_path: Path
+) -> None:
+    scene = [*PP, "--set", "playout=fixed:0.05", "--link", "delay(0.005) | uniform(0.02) | bernoulli(0.05)"]
+    theirs = in_c.start("slave", 0, scene, "c.csv")
+    assert theirs.stdout is not None
+    port = theirs.stdout.readline().split()[1]
+    channel = command("channel", *scene, "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}", "--json")
+    end = command("master", *scene, "--peer", f"127.0.0.1:{channel.port()}", "--out", str(tmp_path / "ours"), "--json")
+    end.live(lambda numbers: numbers["k"] > 2000 and numbers["gain"] == 1.0)
+    end.signal(signal.SIGTERM)
+    assert end.end()[0] == 0
+    counts, log, heard = ended(theirs), in_c.rows("c.csv"), told(tmp_path / "ours")
+    assert counts["rejected"] == 0
+    fresh = np.diff(log["newest"], prepend=-1.0) > 0.0
+    assert np.all(log["k"][fresh] - log["newest"][fresh] == 50.0)
+    assert 50 < np.count_nonzero(fresh) < len(fresh) - 20, "some are lost"
+    said = dict(zip(heard["k"], zip(heard["tx.x"], heard["tx.v"], strict=True), strict=True))
+    played = [(rx, said[k]) for *rx, k in zip(log["rx_0"], log["rx_1"], log["newest"], strict=True) if k in said]
+    assert len(played) > 50
+    assert all(tuple(rx) == sent for rx, sent in played)
+    assert hears_what_it_said(tmp_path / "ours", ("x", "v"), log) > 50
+    assert holds_what_the_law_says(log, -1.0) > 20
+
+
 def test_a_grid_that_begins_later_made_the_end_in_c_deaf_until_then(in_c: InC) -> None:
     """Tick 0 may be three minutes ahead: it slept until then, and took neither datagram nor SIGTERM."""
     slave = in_c.start("slave", 0, PP, "c.csv")

@@ -30,7 +30,8 @@
 #define MS 1000000LL
 enum { MEETING, STARTING, RUNNING, OVER }; /* MEETING: a slave listens, a master asks */
 enum { AXES = OF(_axes), PACKET = OF(_bytes), SHORTEST = 1200, ROOM = 96, WELCOMES = 256, ROUNDS = 5, NEXT = 16, MOST_EVERY = 1000 };
-static const int64_t DT = OF(_tick_ns), AGAIN = 50 * MS, RENEW_AFTER = 1000 * MS, LEAD = 150 * MS, MOST_RTT = 60000 * MS;
+enum { DELAY = OF(_delay), AHEAD = 256, SLOTS = DELAY ? DELAY + AHEAD : 1 };
+static const int64_t DT = OF(_tick_ns), RENEW_AFTER = OF(_renew_ns), AGAIN = 50 * MS, LEAD = 150 * MS, MOST_RTT = 60000 * MS;
 static const int64_t MOST_CLOCK = 1LL << 61; /* beyond that, either way, a clock is not believed */
 static const int64_t EARLY = 200 * MS; /* a message from further ahead than that is not believed */
 
@@ -46,6 +47,8 @@ static int rounds, met, answered, early;
 static struct { uint64_t session; int64_t sent_ns, every; } welcomed[WELCOMES]; /* of a slave: who may START */
 static size_t welcomes;
 static struct { int64_t seq, sent_ns, came_ns; Packet packet; } newest; /* seq -1: none in this session */
+static struct { int64_t seq; double number[MOST_NUMBERS]; } played, waiting[SLOTS]; /* the message that is played, seq -1:
+    none yet; of a fixed playout those that wait for their tick, each in the place of its number */
 static int64_t every = 1, last_k; /* the peer ticks at every so many ticks; the tick that ran here last */
 static long received, sent, rejected, sessions_over;
 static FILE *log_file;
@@ -96,17 +99,20 @@ static int holds_force(void) { /* does the motor hold any */
     return 0;
 }
 
-static void hear(void) { /* the newest message, for the printed end */
+static void hear(int64_t k) { /* the message that tick k plays, for the printed end */
     double number[MOST_NUMBERS];
-    if (newest.seq < 0) { moment.got = 0; return; }
-    memcpy(number, newest.packet.number, sizeof number);
+    int64_t slot = k < DELAY ? 0 : (k - DELAY) % SLOTS;
+    moment.got = DELAY ? k >= DELAY && waiting[slot].seq == k - DELAY : newest.seq >= 0;
+    if (!moment.got) return;
+    played.seq = DELAY ? k - DELAY : newest.seq;
+    memcpy(played.number, DELAY ? waiting[slot].number : newest.packet.number, sizeof played.number);
+    memcpy(number, played.number, sizeof number);
     if (!based && joined) /* a peer that was there before us has sent waves that are not ours to play */
         memcpy(before, number, sizeof before);
     based = 1;
     for (int i = width - integrals; i < width; i++) number[i] -= before[i];
     OF(_take)(&moment, number);
-    moment.got = 1;
-    moment.number = (uint32_t)newest.seq;
+    moment.number = (uint32_t)played.seq;
 }
 
 /* The session */
@@ -148,7 +154,8 @@ static void begin(int64_t tick_0, int64_t now, int new_state) {
     begun_ns = (tick_0 > now ? tick_0 : now) + rtt_ns;
     heard_ns = unheard_ns = 0;
     answered = early = ended = 0;
-    newest.seq = -1;
+    newest.seq = played.seq = -1;
+    for (int i = 0; i < SLOTS; i++) waiting[i].seq = -1;
     last_k = (now - start_ns) / DT - (tick_0 > now);
     if (last_k < -1) last_k = -1;
     based = 0;
@@ -255,10 +262,17 @@ static void data(const Packet *in, int64_t now) {
         if (++early > 3 * every) end_session("its messages are ahead of this end's clock");
         return;
     }
-    if (seq < 0 || seq <= newest.seq) return; /* overtaken, or a copy: what is newer was taken */
-    if (integrals && !adds_up(in->number, newest.seq < 0 ? nothing : newest.packet.number,
-                          newest.seq < 0 ? seq + every : seq - newest.seq)) { rejected++; return; }
+    int overtaken = seq <= newest.seq, late = seq + DELAY <= last_k || seq >= tick + AHEAD;
+    if (seq < 0 || (overtaken && (!DELAY || late || waiting[seq % SLOTS].seq == seq))) return; /* or a copy */
+    const double *now_has = in->number, *had = newest.seq < 0 ? nothing : newest.packet.number;
+    if (integrals && !adds_up(overtaken ? had : now_has, overtaken ? now_has : had,
+                              newest.seq < 0 ? seq + every : llabs(seq - newest.seq))) { rejected++; return; }
     received++;
+    if (DELAY && !late) {
+        waiting[seq % SLOTS].seq = seq;
+        memcpy(waiting[seq % SLOTS].number, in->number, sizeof in->number);
+    }
+    if (overtaken) return;
     early = 0;
     newest.seq = seq;
     newest.sent_ns = in->sent_ns;
@@ -339,7 +353,7 @@ static void tick(int64_t k, int64_t now) {
     }
     moment.k = (uint32_t)k;
     moment.ready = 1;
-    hear();
+    hear(k);
     moment.unheard = answered ? (double)unheard_ns / 1e9 : INFINITY;
     moment.over = state == OVER || stopped;
     OF(_step)(&end, OF(_of_scene)(), &moment, &answer);
@@ -348,9 +362,9 @@ static void tick(int64_t k, int64_t now) {
     device_hold(answer.force);
     if (answer.send) OF(_give)(&answer, message.number);
     if (log_file) {
-        const double *came = newest.packet.number, *say_it = message.number;
+        const double *came = played.number, *say_it = message.number;
         fprintf(log_file, "%d,%lld,%.17g,%.17g,%.17g,%.17g,%lld,", met, (long long)k, moment.x[0] - end.origin[0],
-                moment.v[0], answer.force[0], end.guard.gain, (long long)newest.seq);
+                moment.v[0], answer.force[0], end.guard.gain, (long long)played.seq);
         fprintf(log_file, "%.17g,%.17g,%.17g,%.17g\n", came[0], came[1], say_it[0], say_it[1]);
     }
     if (!master) follow(k);
