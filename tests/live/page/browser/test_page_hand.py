@@ -95,6 +95,7 @@ def test_the_hand_lets_go_by_key_by_button_by_a_double_click_and_as_the_scene_is
 
 def test_a_flood_of_pointer_events_becomes_at_most_sixty_messages_a_second(page: Page) -> None:
     page.evaluate("""(() => {
+      window.requestAnimationFrame = often;
       window.times = [];
       const send = socket.send.bind(socket);
       socket.send = text => { if (text.includes('"hand"')) times.push(performance.now()); send(text); };
