@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 
 
@@ -12,10 +13,14 @@ def main() -> int:
     except ImportError as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 2
-    from teleop.__main__ import leave
-    from teleop.__main__ import main as command_line
+    gc.disable()  # until the command begins, for what is imported is no garbage
+    try:
+        from teleop.__main__ import leave
+        from teleop.__main__ import main as command_line
 
-    return leave(command_line())
+        return leave(command_line())
+    finally:
+        gc.enable()
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ What may be typed is in `teleop.terminal.commands`. Clocks reach the commands fr
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from contextlib import suppress
 from importlib import import_module
 from time import perf_counter, perf_counter_ns
 
-from teleop.terminal.commands import FIRST, parser
+from teleop.terminal.commands import COMMANDS, FIRST, parser
 from teleop.terminal.options import DONE, INTERRUPTED, guarded
 
 # Where each command is carried out: a function of the parsed arguments, which returns an `Answer`.
@@ -68,12 +69,13 @@ def leave(code: int) -> int:
 
 
 def _obey(typed: Sequence[str]) -> int:
-    known = parser()
     if "_ARGCOMPLETE" in os.environ:  # set by a shell that asks for completions
         from teleop.completion import complete
 
-        complete(known)
-    args = known.parse_args(typed)
+        complete(parser())
+    args, unknown = parser(*[word for word in typed[:1] if word in COMMANDS]).parse_known_args(typed)
+    if unknown:
+        parser().parse_args(typed)  # which says in one sentence where such an option belongs
     if args.do is None:
         from teleop.terminal import screen
 
@@ -85,7 +87,11 @@ def _obey(typed: Sequence[str]) -> int:
     args.seconds, args.nanoseconds = perf_counter, perf_counter_ns
     with_devices = args.do == "run" and (args.device is not None or args.robot is not None)
     module, _, function = HOME["run, with devices" if with_devices else args.do].partition(":")
-    answer = getattr(import_module(module), function)(args)
+    command = getattr(import_module(module), function)
+    if not gc.isenabled():  # see `scenarios.__main__`
+        gc.freeze()
+        gc.enable()
+    answer = command(args)
     say(answer, json=args.json)
     return int(answer.code)
 

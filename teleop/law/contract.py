@@ -24,7 +24,6 @@ from numbers import Real
 from os import getcwd
 from os.path import relpath
 from struct import pack
-from traceback import walk_tb
 from types import CodeType, FrameType, FunctionType
 from typing import Any, NamedTuple
 from weakref import WeakSet
@@ -337,6 +336,8 @@ def refusal(law: Any, error: BaseException) -> LawMistake | None:
     """
     if not isinstance(error, Exception) or isinstance(error, Refused | MemoryError):
         return None
+    from traceback import walk_tb
+
     methods = _methods(law)
     method: Method | None = None
     place = file = ""

@@ -38,7 +38,6 @@ bound as B comes near, so conditions have B <= m/T, where it is -h^2 T^2/(8 m). 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any, NamedTuple
 
 from teleop.kind import waves
@@ -117,6 +116,8 @@ def enough(value: float, *, least: bool) -> str:
     >>> enough(0.5 - 0.2, least=False)
     '0.3'
     """
+    from decimal import ROUND_CEILING, ROUND_FLOOR, Context  # for a condition that is broken
+
     rounded = Context(prec=4, rounding=ROUND_CEILING if least else ROUND_FLOOR).create_decimal(f"{value:.12g}")
     return f"{float(rounded):g}"
 

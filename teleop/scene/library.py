@@ -13,7 +13,6 @@ import ast
 import sys
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from hashlib import sha256
 from importlib import import_module
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import module_from_spec, spec_from_file_location
@@ -134,6 +133,8 @@ def own_module(path: Path, what: str, hint: str) -> Any:
 
     Raises `Refused` if it cannot be read or loaded; `hint` says how `what` is named if there is no such file.
     """
+    from hashlib import sha256  # which loads OpenSSL
+
     prefer_bundled()  # the hands, robots and effects that it imports must be ours
     try:
         source = read_bytes(path)

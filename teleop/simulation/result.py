@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -85,6 +84,8 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Strips over time and a table for a notebook: how the run ended, its figures with units, its notes."""
+        from html import escape
+
         rows = [("status", f"{self.status}: {self.sentence}"), ("law", law_with_gains(self.parameters.get("law"))),
                 *[(name, f"{value:.4g} {self.labels.unit(UNITS[name])}".removesuffix(" 1"))
                   for name, value in resolved(self.metrics).items()],

@@ -60,8 +60,11 @@ examples:
 """
 
 
-def parser() -> ArgumentParser:
-    """The parser of the command line; `do` of what it parsed is the command's name, None if none was typed."""
+def parser(*names: str) -> ArgumentParser:
+    """The parser of the command line; `do` of what it parsed is the command's name, None if none was typed.
+
+    With the `names` of commands it knows these alone, which takes a tenth of the time.
+    """
     whole_parser = Parser(
         prog="teleop", epilog=EXAMPLES, formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False,
         description="A delayed bilateral teleoperation stack: run a scene in virtual time or live.",
@@ -69,7 +72,8 @@ def parser() -> ArgumentParser:
     whole_parser.add_argument("--version", action="version", version=f"bilateral-teleop {__version__}")
     whole_parser.set_defaults(do=None, json=False)
     commands = whole_parser.add_subparsers(title="commands", metavar="COMMAND")
-    for name, (text, options) in COMMANDS.items():
+    for name in names or COMMANDS:
+        text, options = COMMANDS[name]
         added: ArgumentParser = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
         added.set_defaults(do=name)
         options(added)

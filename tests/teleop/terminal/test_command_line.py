@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -162,6 +163,29 @@ class TestTheFirstWords:
         assert [words[0] for words in tried] == ["demo", "demo", "run"]
         for words in tried:
             assert parser().parse_args(words).scene
+
+    def test_a_command_that_builds_its_own_options_alone_has_those_that_all_commands_together_give_it(
+        self, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        for name in COMMANDS:
+            texts = []
+            for known in (parser(), parser(name)):
+                with pytest.raises(SystemExit):
+                    known.parse_args([name, "--help"])
+                texts.append(capsys.readouterr().out)
+            assert texts[0] == texts[1], name
+
+    def test_garbage_is_collected_from_the_command_on_and_after_a_refusal(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (tmp_path / "tells.py").write_text("import gc\nprint('collects', gc.isenabled())\n"
+                                           "from scenarios.canonical import scene\n")
+        for words, code, out in ((["run", "tells.py", *SHORT], 0, "collects True\n"), (["no such command"], 2, "")):
+            monkeypatch.chdir(tmp_path)
+            monkeypatch.setattr("sys.argv", ["teleop", *words])
+            assert console_entry() == code
+            assert capsys.readouterr().out.startswith(out)
+            assert gc.isenabled()
 
     def test_say_of_the_third_what_it_comes_to(self) -> None:
         assert run(load_scene("soft_tissue", law="direct", delay="0.05")).status == "diverged"
