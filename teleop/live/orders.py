@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterator
+from itertools import chain
 from time import monotonic_ns
 from typing import Any
 
@@ -59,9 +60,12 @@ def intake(within_ns: int, *, least: int = 1, most: int = MOST_PIECES,
     >>> list(intake(0, least=2)), list(intake(10**12, most=3))
     ([0, 1], [0, 1, 2])
     """
-    until = clock() + within_ns
-    for taken in range(most):
-        if taken >= least and clock() >= until:
+    return chain(range(min(least, most)), _until(clock() + within_ns, range(least, most), clock))
+
+
+def _until(end_ns: int, pieces: range, clock: Callable[[], int]) -> Iterator[int]:
+    for taken in pieces:
+        if clock() >= end_ns:
             return
         yield taken
 

@@ -47,8 +47,6 @@ class Connection:
         """Datagrams to send again, since nothing answered them. A HELLO goes to the configured address."""
         session = self.endpoint.session
         datagrams = session.due(now)
-        if not datagrams and not session.meeting:
-            return []
         if session.meeting and self.configured is not None:
             self.peer = self.configured
         return self._to_peer(datagrams) if datagrams else []

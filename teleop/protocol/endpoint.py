@@ -28,11 +28,10 @@ from teleop.protocol.packet import (
     Echo,
     Kind,
     Layout,
-    Packet,
     Rejection,
     check_size,
     decode,
-    encode,
+    framed,
     unwrapped,
 )
 from teleop.protocol.reception import Presence, Reception
@@ -47,6 +46,7 @@ from teleop.simulation.tick import LiveTick
 from teleop.stages.wave_integral import Integrals
 
 Axes = tuple[float, ...]
+_NOTHING: Any = (None, None, None)  # message, energy and waves where none is played
 _NEAR = 1 << 30  # a packet's number within so much of the tick is what it says
 _new: Any = tuple.__new__  # twice as fast as the class
 SLEW = 2000  # a slave's grid follows the master's by at most 1/2000 of a tick a tick, 500 ppm
@@ -130,12 +130,12 @@ class MessageFormat:
         self.size = check_size(scene.wire_size, most, energy=scene.energy and not self._has_integral)
         self._axes = range(scene.axes)
 
-    def message_of(self, packet: Packet) -> Heard:
-        """The message in a packet that came."""
-        payload: Any = packet.payload
+    def message_of(self, payload: Any, E_in: float | None) -> Heard:
+        """The message in a packet with this payload and this energy of the sender."""
         rx, at = self._rx.messages(payload), self._rx.width
         if not self._has_integral:
-            return Heard(rx, packet.E_in)
+            heard: Heard = _new(Heard, (rx, E_in, None))
+            return heard
         if len(rx) == 1:  # the same without the loop
             U, E, T = payload[at:]
             return Heard(rx, E, (Integrals(T, U, E),))
@@ -223,7 +223,7 @@ class Endpoint:
             self.rejected[packet.value] += 1
             return []
         session, start_ns, hears = self.session, self.session.start_ns, self.format.hears
-        kind, number, seq, sent_ns, echo, _, _ = packet
+        kind, number, seq, sent_ns, echo, payload, E_in = packet
         if kind is not hears and kind not in DATA:
             if not session.belongs(packet, now):
                 self.rejected["session"] += 1
@@ -246,7 +246,8 @@ class Endpoint:
             self.rejected["early"] += 1
             self.presence.ahead(self._tick, seq - near, sent_ns, now)
             return []
-        is_old, message, reception = seq < 0 or seq < near - (1 << 30), self.format.message_of(packet), self._reception
+        is_old, reception = seq < 0 or seq < near - _NEAR, self._reception
+        message = self.format.message_of(payload, E_in)
         if is_old or (message.waves is not None and not reception.integrals.add_up(
                 seq, message.waves, session.peer_every)):
             self.rejected["old" if is_old else "integrals"] += 1
@@ -281,30 +282,30 @@ class Endpoint:
                           None if trouble is None else Reason(Cause.DEVICE, trouble))
         if self.guard.lapsed or self.guard.overdue:
             self.held.zero(k)
-        seq, message = (-1, None) if played is None else played
-        rx, waves = (None, None) if message is None else (message.rx, message.waves)
+        seq, (rx, stamp, waves) = (-1, _NOTHING) if played is None else played
         if waves is not None and self._reception.rejoined:
             waves = self._reception.since_first(waves)
-        inputs = LiveTick(
-            k // self.every, self._origin.of_law(reading.x), reading.v, reading.f, message is not None,
-            seq if self.every == 1 else seq / self.every, rx, waves, gain, self.held.force,
-            self.held.since(k), 1.0 if reading.clutch else 0.0,
-            1.0 if reading.present or reading.present is None else 0.0)
+        x, v, f, clutch, present = reading
+        origin, held = self._origin, self.held
+        inputs = _new(LiveTick, (
+            k // self.every, x if origin.at is None else origin.of_law(x), v, f, played is not None,
+            seq if self.every == 1 else seq / self.every, rx, waves, gain, held.force, held.since(k),
+            1.0 if clutch else 0.0, 1.0 if present or present is None else 0.0))
         force, tx, sent, row = law.answer(inputs)
-        if message is not None and message.E_in is not None and self.places.E_out is not None:
-            margin = message.E_in - row[self.places.E_out]
+        if stamp is not None and self.places.E_out is not None:
+            margin = stamp - row[self.places.E_out]
             if self.stamp_margin is None or margin < self.stamp_margin:
                 self.stamp_margin = margin
         if self._switches is not None:
             self._switches.update(k, row, self.guard)
         self._tick = k
-        if not self.held.take(k, force):
+        if not held.take(k, force):
             self.force_failed = f"f_{self.e}"
         if self.e == "s":
             self._follow()
         datagram = self._datagram(k, now, tx, sent, row)
         if self.witness is not None:
-            self.witness.ticked(k, self._met, inputs, self._origin.at, force, tx, sent)
+            self.witness.ticked(k, self._met, inputs, origin.at, force, tx, sent)
         out: Tick = _new(Tick, (force, datagram, row, seq))
         return out
 
@@ -367,8 +368,7 @@ class Endpoint:
             waits = self.guard.safe and not presence.answered
             unheard = inf if waits else presence.unheard_ns / 1e9
         arrived = self._arrived if self._newest_wins else self._rates.played
-        gain = self.guard.step(
-            k, age is not None, trouble, arrived=arrived, over=session.ended, unheard=unheard, age=age or 0)
+        gain = self.guard.step(k, age is not None, trouble, arrived, session.ended, unheard, age or 0)
         session.zero_force = gain == 0.0
         return gain
 
@@ -398,8 +398,7 @@ class Endpoint:
         stamp = None
         if sent is None and places.E_in is not None and isfinite(row[places.E_in]):
             stamp = float(row[places.E_in])
-        packet = _new(Packet, (self.format.sends, session.number, k & MOST_SEQ, now, echo, payload, stamp))
-        return encode(packet, self.format.size)
+        return framed(self.format.sends, (session.number, k & MOST_SEQ, now, echo, payload, stamp), self.format.size)
 
 
 def _no_force(scene: Scene, e: str) -> str:

@@ -124,44 +124,65 @@ class PeerClock:
                 self._windows.popleft()
 
 
+TOGETHER = 16  # messages whose figures are worked out together: with cold caches each would cost several times as much
+
+
 class LinkEstimates:
     """Estimates of the link from the packets of one session: delays, jitter, loss, order.
 
     `way`: one-way delay as it is seen over the common grid of ticks. `rtt`: round trips, which need no common clock.
     `jitter_ns`: interarrival jitter (RFC 3550, 6.4.1). `lost` and `reordered`: of the numbers up to the newest one that
     came (RFC 3550, A.3), copies left out; what the peer never sent, for it left that tick out, is among the lost.
-    `every`: the peer's packets are so many numbers apart.
+    `every`: the peer's packets are so many numbers apart. All but the clock waits until it is asked for.
     """
 
     def __init__(self, band_ns: int) -> None:
-        self.way, self.rtt = Times(), Times()
-        self.jitter_ns = 0.0
-        self.reordered = 0
         self.clock = self._parted = PeerClock(band_ns)
-        self.transit_ns: int | None = None  # of the last message, by the two ends' own clocks
+        self._waiting: list[tuple[int, int, int, int | None]] = []  # number, delay, transit, round trip
+        self._way, self._rtt = Times(), Times()
+        self._jitter_ns = 0.0
+        self._reordered = 0
+        self._transit_ns: int | None = None
         self._first, self._newest = 0, -1
         self._count = 0
         self._lost = 0  # in sessions before this one
 
     def add(self, seq: int, sent_ns: int, echo: tuple[int, int] | None, way_ns: int, now: int) -> None:
         """A message that has not come before: its number, send time (peer's clock), echo, and delay over the grid."""
-        self.way.add(way_ns)
-        transit, before = now - sent_ns, self.transit_ns
-        if before is not None:
-            self.jitter_ns += (abs(transit - before) - self.jitter_ns) / 16.0
-        self.transit_ns = transit
-        if not self._count:
-            self._first = seq
-        self._count += 1
-        if seq > self._newest:
-            self._newest = seq
-        else:
-            self.reordered += 1
-            self._first = min(self._first, seq)
-        if echo is not None:
-            rtt = self.clock.add(echo[0], echo[1], sent_ns, now)
-            if rtt is not None:
-                self.rtt.add(rtt)
+        rtt = None if echo is None else self.clock.add(echo[0], echo[1], sent_ns, now)
+        self._waiting.append((seq, way_ns, now - sent_ns, rtt))
+        if len(self._waiting) >= TOGETHER:
+            self._work_out()
+
+    @property
+    def way(self) -> Times:
+        """One-way delays."""
+        self._work_out()
+        return self._way
+
+    @property
+    def rtt(self) -> Times:
+        """Round trips."""
+        self._work_out()
+        return self._rtt
+
+    @property
+    def jitter_ns(self) -> float:
+        """Interarrival jitter."""
+        self._work_out()
+        return self._jitter_ns
+
+    @property
+    def reordered(self) -> int:
+        """Number of packets that came behind one with a greater number."""
+        self._work_out()
+        return self._reordered
+
+    @property
+    def transit_ns(self) -> int | None:
+        """Time of the last message on its way, by the two ends' own clocks; None before there is one."""
+        self._work_out()
+        return self._transit_ns
 
     def lost(self, every: int = 1) -> int:
         """Number of packets that did not come, of those up to the newest that came."""
@@ -180,11 +201,30 @@ class LinkEstimates:
     def begin(self, every: int = 1) -> None:
         """A new session: its numbers, its clock; the figures go on."""
         self._lost += self._missing(every)
-        self._count, self._newest, self.transit_ns = 0, -1, None
+        self._count, self._newest, self._transit_ns = 0, -1, None
         self._parted, self.clock = self.parted, PeerClock(self.clock.band_ns)
 
     def _missing(self, every: int) -> int:
+        self._work_out()
         return max(0, (self._newest - self._first) // every + 1 - self._count) if self._count else 0
+
+    def _work_out(self) -> None:
+        for seq, way_ns, transit, rtt in self._waiting:
+            self._way.add(way_ns)
+            if rtt is not None:
+                self._rtt.add(rtt)
+            if self._transit_ns is not None:
+                self._jitter_ns += (abs(transit - self._transit_ns) - self._jitter_ns) / 16.0
+            self._transit_ns = transit
+            if not self._count:
+                self._first = seq
+            self._count += 1
+            if seq > self._newest:
+                self._newest = seq
+            else:
+                self._reordered += 1
+                self._first = min(self._first, seq)
+        self._waiting.clear()
 
 
 ROUNDS = 5  # HELLO/WELCOME round trips before the clock offset is taken: one, and four after it that are no faster

@@ -234,7 +234,7 @@ class ForceGuard:
         return 0 if self._dog is None else round(self._dog.timeout * 1e9)
 
     def step(
-        self, k: int, got: bool, trouble: Reason | None = None, *, arrived: int | None = None,
+        self, k: int, got: bool, trouble: Reason | None = None, arrived: int | None = None,
         over: Reason | None = None, unheard: float = 0.0, age: int = 0,
     ) -> float:
         """The gain at tick k of the grid. `got`: is there a fresh message; `trouble`: another cause to be safe.
@@ -345,7 +345,7 @@ class HeldForce:
         """Set it to `force` (N, per axis) at tick k; False if that is not finite, and then it stays what it was."""
         if not isfinite(sum(force)) and not all(map(isfinite, force)):  # a sum may be too great that is of finite ones
             return False
-        if not any(force):
+        if not any(force) and any(self.force):
             self.zero(k)
         self.force = force
         return True

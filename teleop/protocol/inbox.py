@@ -167,10 +167,14 @@ class Inbox(Generic[Entry]):
         if tick <= last:
             raise Refused(f"tick {tick} was taken already; take a tick after {last}")
         self._tick = tick
-        if self._queued == 1 and self._delay is None and not self._copies and tick in self._coming:  # nearly always
-            self._queued = 0
-            self._waits.clear()
-            return self._newest(self._coming.pop(tick))
+        if tick == last + 1 and self._delay is None and not self._copies:  # nearly always
+            at_once = self._coming.pop(tick, None)
+            if at_once is None:
+                return None
+            self._queued -= len(at_once)
+            for packet, _ in at_once:
+                self._waits.pop(packet, None)
+            return self._newest(at_once)
         arrived = self._arrived(tick, skipped=tick != last + 1) if self._queued or self._copies else []
         if self._delay is not None:
             return self._exactly(tick - self._delay, arrived, skipped=tick != last + 1)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum, StrEnum
+from functools import partial
 from math import isfinite
 from struct import Struct
 from typing import Any, Literal, NamedTuple
@@ -34,9 +35,11 @@ MOST_CONTROL = 8192
 MOST_SENTENCE = 1000  # characters of a REFUSE, BYE or RENEW
 MOST_SEQ = 2**32 - 1
 _MOST_NS = 2**63 - 1
-_LEAST_NS = -_MOST_NS - 1
+_LEAST_NS = -_MOST_NS - 1  # msgpack has none that is less
 _MAGIC = b"BT"  # "B" cannot begin a DTLS record (RFC 7983), so the two can share a port
 _pack = Packer().pack
+_unpack = partial(unpackb, use_list=False, strict_map_key=True, max_bin_len=0, max_ext_len=0,
+                  max_array_len=MOST_DATA // FLOAT, max_map_len=MOST_CONTROL // 2, max_str_len=MOST_CONTROL)
 
 
 class Kind(IntEnum):
@@ -115,6 +118,7 @@ _LAST_DATA = int(Kind.BACK)
 _NUMBERS = frozenset((float,))
 _TIMES = (int, int)
 _CHECK = Struct("!I")
+_HEAD = HEAD.size
 _NOTHING = type(None)
 _FIELDS = frozenset((int, int, int, echo, tuple, stamp) for echo in (tuple, _NOTHING) for stamp in (float, _NOTHING))
 """The types of the fields of a DATA packet."""
@@ -125,17 +129,20 @@ def encode(packet: Packet, size: int | None = None) -> bytes:
     """The datagram of `packet`, padded to `size` bytes (None: no padding).
 
     `decode` gives the same packet back to the bit. A sentence is sent as `one_line` makes it. Raises `Refused` if the
-    packet does not fit or a manifest has unprintable text. What a DATA packet carries is not checked here, at every
-    tick: the peer rejects what is not finite floats.
+    packet does not fit or a manifest has unprintable text. What a DATA packet carries is not checked here: the peer
+    rejects what is not finite floats.
     """
     kind, payload = packet.kind, packet.payload
-    if type(payload) is tuple:
-        pass  # nearly always
-    elif isinstance(payload, str):
+    if isinstance(payload, str):
         packet = packet._replace(payload=one_line(payload))
     elif isinstance(payload, dict) and not _is_manifest(payload):
         raise Refused(f"knobs are sent as printable text; write them without control characters: {payload!r}")
-    body = _pack(packet[1:])
+    return framed(kind, packet[1:], size)
+
+
+def framed(kind: Kind, fields: tuple[Any, ...], size: int | None) -> bytes:
+    """The datagram of a packet of which nothing is checked but its length; `fields`: all but its kind."""
+    body = _pack(fields)
     control = kind > _LAST_DATA
     most = size or (MOST_CONTROL if control else MOST_DATA)
     if len(body) + LEAST > most:
@@ -153,10 +160,8 @@ def decode(data: bytes, width: int) -> Packet | Rejection:
     `width` is how many numbers a DATA packet carries, exactly. Session and replay are not judged here.
     """
     size = len(data)
-    if size > MOST_CONTROL:
-        return Rejection.OVERSIZE
-    if size < LEAST:
-        return Rejection.TRUNCATED
+    if not LEAST <= size <= MOST_CONTROL:
+        return Rejection.TRUNCATED if size < LEAST else Rejection.OVERSIZE
     magic, version, kind, length = HEAD.unpack_from(data)
     if magic != _MAGIC:
         return Rejection.MAGIC
@@ -168,14 +173,11 @@ def decode(data: bytes, width: int) -> Packet | Rejection:
         return Rejection.TRUNCATED
     if crc32(data[:-CHECKSUM]) != _CHECK.unpack_from(data, size - CHECKSUM)[0]:
         return Rejection.CHECKSUM
-    end = HEAD.size + length
+    end = _HEAD + length
     if kind >= len(_KINDS) or data[end:-CHECKSUM].strip(b"\0"):
         return Rejection.MALFORMED
     try:
-        fields = unpackb(
-            data[HEAD.size : end], use_list=False, strict_map_key=True, max_bin_len=0, max_ext_len=0,
-            max_array_len=MOST_DATA // FLOAT, max_map_len=MOST_CONTROL // 2, max_str_len=MOST_CONTROL,
-        )
+        fields = _unpack(data[_HEAD:end])
     except Exception:  # bytes of an unknown sender: whatever msgpack raises over them, they are not a packet
         return Rejection.MALFORMED
     return _checked(_KINDS[kind], fields, width)
@@ -197,9 +199,9 @@ def _checked(kind: Kind, fields: Any, width: int) -> Packet | Rejection:
         return Rejection.MALFORMED
     session, seq, sent_ns, echo, payload, E_in = fields
     if (kind <= _LAST_DATA and tuple(map(type, fields)) in _FIELDS and session >= 0 and 0 <= seq <= MOST_SEQ
-            and _LEAST_NS <= sent_ns <= _MOST_NS and len(payload) == width and _NUMBERS.issuperset(map(type, payload))
-            and (echo is None or (tuple(map(type, echo)) == _TIMES and _LEAST_NS <= echo[0] <= _MOST_NS
-                                  and 0 <= echo[1] <= _MOST_NS))
+            and sent_ns <= _MOST_NS and len(payload) == width and _NUMBERS.issuperset(map(type, payload))
+            and (echo is None
+                 or (tuple(map(type, echo)) == _TIMES and echo[0] <= _MOST_NS and 0 <= echo[1] <= _MOST_NS))
             and isfinite(sum(payload)) and (E_in is None or isfinite(E_in))):
         # Nearly always. What is not so is looked at field by field: finite numbers may have a sum that is not.
         packet: Packet = _new(
@@ -294,13 +296,17 @@ class Window:
         honest ones are as far ahead of the newest as the clock is.
         """
         step = seq - self.newest
+        if step == 1:  # nearly always
+            self._seen[seq % self._size] = 1
+            self.newest = seq
+            return "new"
         if step > 0:
             if step > self._ahead and seq > tick + self._ahead:
                 return "ahead"
             size = self._size
             if step >= size:
                 self._seen = bytearray(size)
-            elif step > 1:
+            else:
                 first, last = (self.newest + 1) % size, seq % size  # what was skipped has not come, as far as `last`
                 if first <= last:
                     self._seen[first:last] = bytes(last - first)

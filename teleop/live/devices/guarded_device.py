@@ -13,7 +13,6 @@ from teleop.simulation.trace import ForceSource
 
 DEAD_NS = 2_000_000_000  # a device that fails for so long is not waited for
 _FLOAT = frozenset((float,))
-_SWITCH = frozenset((bool, type(None)))
 
 
 class LiveDevice(Protocol):
@@ -86,7 +85,9 @@ class GuardedDevice:
         self.closed = False  # it is given zero alone from now on
         self.sensor: bool | None = None  # it senses the external force; None before its first reading
         self.switches: tuple[str, ...] = ()  # its switches, from its first reading on
-        self._lacks = True, True  # clutch, present
+        self._fields: tuple[type, ...] = ()  # the types of what a reading holds, from the first one on
+        self._floats: tuple[type, ...] = ()  # of its numbers
+        self._axes = axes
         self._zero = (0.0,) * axes
         self._held_well = True
         self._failing_ns: int | None = None  # since when; None while it is well
@@ -110,16 +111,11 @@ class GuardedDevice:
         except (DeviceError, OSError) as error:
             self.trouble = str(error) or type(error).__name__
             return None
-        if type(reading) is Reading and type(self.sensor) is bool:
-            x, v, f, clutch, present = reading
-            axes = len(self._zero)
-            if (type(x) is type(v) is tuple and len(x) == len(v) == axes and (f is not None) is self.sensor
-                    and (f is None or (type(f) is tuple and len(f) == axes))
-                    and _SWITCH.issuperset((type(clutch), type(present)))
-                    and (clutch is None, present is None) == self._lacks):
-                numbers = x + v if f is None else x + v + f
-                if _FLOAT.issuperset(map(type, numbers)) and isfinite(sum(numbers)):
-                    return reading  # nearly always; a sum that is not finite may be one of numbers that are
+        if type(reading) is Reading and tuple(map(type, reading)) == self._fields:
+            x, v, f, _, _ = reading
+            numbers = x + v if f is None else x + v + f
+            if len(x) == len(v) == self._axes and tuple(map(type, numbers)) == self._floats and isfinite(sum(numbers)):
+                return reading  # nearly always; a sum that is not finite may be one of numbers that are
         try:
             reading = _in_floats(reading, len(self._zero))
         except Refused as refused:
@@ -133,7 +129,7 @@ class GuardedDevice:
             return None
         has = switches_of(reading)
         if self.sensor is None:
-            self.switches, self._lacks = has, (reading.clutch is None, reading.present is None)
+            self.switches = has
         elif has != self.switches:
             self.trouble = (f"it read {_switch_list(has)} where its first reading had {_switch_list(self.switches)}; a "
                             "device has a switch or none")
@@ -144,6 +140,7 @@ class GuardedDevice:
                                 f"{'a force f' if self.sensor else 'f=None'}; a device has a force sensor or none")
                 return None
             self.sensor = _sensor_of(self.device, reading)
+            self._fields, self._floats = tuple(map(type, reading)), (float,) * (self._axes * (2 + self.sensor))
         return reading
 
     @property
