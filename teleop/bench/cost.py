@@ -5,17 +5,15 @@
 The two trees take turns, so that what else the machine does disturbs both. Live: the system's count of processor time
 over a demo at 1 kHz, mean of its two ends.
 
-Back to back: `python -P cost.py` runs both live ends in one process, tick after tick without a wait, and prints the
-time of a tick. The ends are whole, sockets on loopback included; only their clock is a stand-in that goes on by one
-tick at a time. So nothing is in it of waking up, and caches are warm: the figure hardly depends on the rest of the
-machine. Live each part takes about twice as long, since it finds its caches cold. The parts are timed in a second run.
-They are functions of the tree that `PYTHONPATH` names, so that two trees can be compared; one that it lacks is left
-out.
+Back to back: `python -P cost.py` of each tree runs both live ends in one process, tick after tick without a wait, and
+prints the time of a tick. The ends are whole, sockets on loopback included; only their clock is a stand-in that goes on
+by one tick at a time. So nothing is in it of waking up, and caches are warm: the figure hardly depends on the rest of
+the machine. Live each part takes about twice as long, since it finds its caches cold. The parts are timed in a second
+run; one that a tree lacks is left out.
 """
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import json
 import os
@@ -58,12 +56,11 @@ PARTS = {
     "device and its checks": ("live.devices.guarded_device:GuardedDevice.read",
                               "live.devices.guarded_device:GuardedDevice.hold"),
     "law and stages": ("protocol.endpoint:Endpoint.tick",),
-    "encode": ("protocol.endpoint:Endpoint._datagram", "protocol.endpoint:encode"),
+    "encode": ("protocol.endpoint:Endpoint._datagram", "protocol.endpoint:framed"),
     "send": ("live.net.wire:Wire.send",),
     "record, live line": ("live.records.record:RecordWriter.add", "live.records.inputs:InputWriter.ticked",
                           "live.records.inputs:InputWriter.arrived", "live.live_line:LiveLine.tick",
-                          "live.live_line:LiveLine.announce", "live.records.inputs:InputWriter.ticked",
-                          "live.records.inputs:InputWriter.arrived"),
+                          "live.live_line:LiveLine.announce"),
     "driver and shell": ("live.driving:ClockDriver.wake", "live.shell:Shell.tick", "live.shell:Shell.take_events",
                          "live.shell:Shell.say_again", "live.driving:Listening.update",
                          "live.process.ticker:Suspension.duration"),
@@ -98,15 +95,14 @@ def live_end(scene: Scene, e: str, wire: Wire, folder: Path) -> Shell:
     return shell
 
 
-async def ticks(clock: Clock, shells: list[Shell], began: Callable[[], None]) -> float:
+def ticks(clock: Clock, shells: list[Shell], began: Callable[[], None]) -> float:
     """Median time (us) of a tick, after `began` was called."""
-    loop = asyncio.get_running_loop()
     while any(shell.endpoint.session.start_ns is None or shell.endpoint.session.meeting for shell in shells):
         for shell in shells:
             shell.drain()
             shell.say_again(clock.now)
         clock.now += TICK_NS
-    drivers = [ClockDriver(shell, loop, 0) for shell in shells]
+    drivers = [ClockDriver(shell, 0) for shell in shells]
     for driver in drivers:
         driver.suspension._boot = None
         driver.listening.update(clock.now, driver.shell.take_events())
@@ -124,7 +120,6 @@ async def ticks(clock: Clock, shells: list[Shell], began: Callable[[], None]) ->
             driver.wake()
             took.append(time.perf_counter_ns() - at)
     for driver in drivers:
-        driver._alarm.close()
         heard = driver.shell.endpoint.link.way.count
         assert heard >= TICKS - 10, f"{heard} of {TICKS} messages heard: {driver.shell.outcome.sentence}"
     return median(took[2 * WARM:]) / 1e3
@@ -140,7 +135,7 @@ def ran(began: Callable[[], None]) -> float:
     with TemporaryDirectory() as name, bind_udp(("127.0.0.1", 0), "") as near, bind_udp(("127.0.0.1", 0), "") as far:
         shells = [live_end(scene, "m", Wire(near, far.getsockname()), Path(name) / "m"),
                   live_end(scene, "s", Wire(far, None), Path(name) / "s")]
-        us = asyncio.run(ticks(clock, shells, began))
+        us = ticks(clock, shells, began)
         for shell in shells:
             shell.recorder.close()
         return us
@@ -202,18 +197,17 @@ LIVE, WHOLE = "live, processor time of a tick", "back to back"
 
 def cost(rounds: int, against: str | None = None) -> list[Row]:
     """Rows of (what, us a tick, the same of the tree `against` and the ratio): medians over `rounds`."""
-    hot = str(Path(__file__).resolve())
     trees = [ROOT] if against is None else [ROOT, Path(against).resolve()]
     figures: dict[Path, list[dict[str, float]]] = {tree: [] for tree in trees}
     with TemporaryDirectory() as folder:
         for i in range(rounds):
             for tree in trees if i % 2 else trees[::-1]:
-                parts: dict[str, float] = json.loads(_python(tree, "-P", hot))
+                parts: dict[str, float] = json.loads(_python(tree, "-P", str(tree / "teleop" / "bench" / "cost.py")))
                 out = Path(folder) / f"{i}-{trees.index(tree)}"
                 figures[tree].append({LIVE: _live(tree, out), WHOLE: parts.pop("whole"),
                                     **{f"  {part}": us for part, us in parts.items()}})
     medians = [{what: median(one[what] for one in each) for what in each[0]} for each in figures.values()]
-    return [(what, f"{us:.1f} us", "" if len(medians) < 2 else _beside(us, medians[1][what]))
+    return [(what, f"{us:.1f} us", "" if len(medians) < 2 else _beside(us, medians[1].get(what, 0.0)))
             for what, us in medians[0].items()]
 
 

@@ -71,6 +71,10 @@ def rows(runs: Sequence[Round], *, realtime: bool, busy: bool) -> list[Row]:
                          f"{median(ratios):.2f} times C{bound}" if ratios else ""))
         lines.append((f"{which}{end}: share of a core", f"{median(run.ends[end]['cpu'] for run in runs) * 100:.1f} %",
                      "asked: at most 10" if realtime and not busy else ""))
+        shares = [run.ends[end]["cpu"] / run.c.cpu for run in runs if run.c is not None]
+        if shares:
+            lines.append((f"{which}{end}: its share over that of C", f"{median(shares):.1f} times",
+                          "asked: at most 6" if realtime and not busy else ""))
         skipped = [run.ends[end]["skipped"] for run in runs]
         lines.append((f"{which}{end}: ticks left out, of {SECONDS * 1000}: median, most",
                      f"{median(skipped):.0f}, {max(skipped)}", ""))

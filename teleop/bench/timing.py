@@ -10,14 +10,13 @@ The same words make `c/timing.c` do the same in C; both print median and 99 %, u
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
@@ -90,7 +89,7 @@ def timing(rounds: int) -> list[Row]:
 
 
 def ticks(c: str, rounds: int, count: int = TICKS) -> list[Row]:
-    """An `Alarm` in asyncio and a loop on a timerfd, at once; then an alarm that spins."""
+    """An `Alarm` and a loop on a timerfd in C, at once; then an alarm that spins."""
     theirs, ours, spun = [], [], []
     for _ in range(rounds):
         running = [_started(*OURS, "tick", count, 0), _started(c, "tick", count)]
@@ -100,7 +99,7 @@ def ticks(c: str, rounds: int, count: int = TICKS) -> list[Row]:
         spun.append(_late(_started(*OURS, "tick", count, SPIN_NS).communicate()[0]))
     return [
         _summary("C loop on a timerfd: tick late by", theirs),
-        *_beside("Alarm in asyncio: tick late by", ours, theirs),
+        *_beside("Alarm: tick late by", ours, theirs),
         (f"Alarm, awake {SPIN_NS // 1000} us before (--spin): late by, median",
          f"{median(one.median for one in spun):.1f} us", "asked: at most 5"),
         ("  99 %", f"{median(one.most for one in spun):.0f} us", ""),
@@ -121,7 +120,7 @@ def round_trips(c: str, rounds: int, count: int = TRIPS) -> list[Row]:
     most = "asked: at most 2.2"
     return [
         _summary("round trip over loopback, C", in_c),
-        _beside("round trip, a Wire in asyncio at both ends", both, in_c, most)[0],
+        _beside("round trip, a Wire at both ends", both, in_c, most)[0],
         _beside("round trip, C and an echo through a Wire", alone, in_c, most)[0],
         _summary("round trip, C, both ends on one core", next(one_core)),
         _beside("round trip, Wires, both ends on one core", next(one_core), [trip[0] for trip in together], most)[0],
@@ -230,31 +229,26 @@ def _beside(what: str, ours: Sequence[Late], theirs: Sequence[Late], most: str =
 
 TICK_NS = 1_000_000
 PAYLOAD = bytes(100)
+LOOK_S = 0.05  # for a datagram, which wakes whoever waits
 
 
-async def tick(count: int, spin_ns: int) -> list[int]:
+def tick(count: int, spin_ns: int) -> list[int]:
     """The lateness of an alarm at each of `count` ticks at 1 kHz, ns; for one that was missed, when it came next."""
     late: list[int] = []
-    over = asyncio.Event()
     start = time.monotonic_ns() + 20 * TICK_NS
-
-    def wake() -> None:
+    alarm = Alarm(spin_ns)
+    alarm.set(start, TICK_NS)
+    while len(late) < count:
+        alarm.wait()
         woken = time.monotonic_ns() - start
         late.extend(woken - k * TICK_NS for k in range(len(late), woken // TICK_NS + 1))
-        if len(late) >= count:
-            over.set()
-
-    alarm = Alarm(asyncio.get_running_loop(), wake, spin_ns)
-    alarm.set(start, TICK_NS)
-    await over.wait()
-    alarm.close()
     return late[:count]
 
 
-async def echo(wire: Wire, over: asyncio.Event) -> None:
+def echo(wire: Wire, is_over: Callable[[], bool] = lambda: False) -> None:
     """Send back what comes to where it came from, until it is over."""
-
-    def drain() -> None:
+    while not is_over():
+        wire.wait(LOOK_S)
         for _ in range(DRAIN):
             got = wire.receive()
             if got is None or got[0] is None:
@@ -262,61 +256,39 @@ async def echo(wire: Wire, over: asyncio.Event) -> None:
             wire.peer = got[1]
             wire.send(got[0])
 
-    loop = asyncio.get_running_loop()
-    loop.add_reader(wire.sock, drain)
-    await over.wait()
-    loop.remove_reader(wire.sock)
 
-
-async def ping(wire: Wire, count: int) -> list[int]:
+def ping(wire: Wire, count: int) -> list[int]:
     """The time that `count` datagrams take to the wire's peer and back, ns, one after the other."""
     trips: list[int] = []
-    over = asyncio.Event()
-    began = 0
-
-    def send() -> None:
-        nonlocal began
+    while len(trips) < count:
         began = time.monotonic_ns()
         wire.send(PAYLOAD)
-
-    def drain() -> None:
-        for _ in range(DRAIN):
-            if wire.receive() is None:
-                break
-            trips.append(time.monotonic_ns() - began)
-            if len(trips) < count:
-                send()
-            else:
-                over.set()
-
-    loop = asyncio.get_running_loop()
-    loop.add_reader(wire.sock, drain)
-    send()
-    await over.wait()
-    loop.remove_reader(wire.sock)
-    return trips[:count]
+        while wire.receive() is None:
+            wire.wait(LOOK_S)
+        trips.append(time.monotonic_ns() - began)
+    return trips
 
 
-async def _main(what: str, *numbers: int) -> None:
+def _main(what: str, *numbers: int) -> None:
     if what == "tick":
-        times = await tick(*numbers)
+        times = tick(*numbers)
     else:
         with bind_udp(("127.0.0.1", 0), "--listen") as sock:
             if what == "echo":
                 print(sock.getsockname()[1], flush=True)
-                await echo(Wire(sock, None), asyncio.Event())
+                echo(Wire(sock, None))
                 return
             port, count = numbers
             wire = Wire(sock, ("127.0.0.1", port))
             wire.keep_to_peer()
-            times = await ping(wire, count)
+            times = ping(wire, count)
     times.sort()
     print(f"{times[len(times) // 2] / 1e3:.2f} {times[int(len(times) * 0.99)] / 1e3:.2f}")
 
 
 def main(words: Sequence[str]) -> int:
     """Run one part; returns the exit code."""
-    asyncio.run(_main(words[0], *map(int, words[1:])))
+    _main(words[0], *map(int, words[1:]))
     return 0
 
 

@@ -191,9 +191,6 @@ def timer(report: Mapping[str, Any], cure: str | None) -> Finding:
     best = first or ordinary
     says = f"{'with real-time scheduling' if first else 'of a tick each ms'} {_late(best)}"
     says += f"; without it {_late(ordinary)}" if first else ""
-    if not best["precise"]:
-        return Finding("timer", False, f"{says}; this system has no timerfd, so timers are rounded to whole ms",
-                       "run live ends on Linux")
     if _in_time(best):
         return Finding("timer", True, says)
     if cure is None or first:

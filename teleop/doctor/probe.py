@@ -1,21 +1,19 @@
 """`python -m teleop.doctor.probe`: what this machine gives a live end, measured in a process like one; JSON on stdout.
 
-The timer and the loop are those of an end, without its work: first as all processes are scheduled, then with real-time
+The timer is that of an end, without its work: first as all processes are scheduled, then with real-time
 scheduling where the system gives it. The datagrams go over loopback, through the sockets of an end.
 """
 
 from __future__ import annotations
 
-import asyncio
 import json
 import socket
 import time
-from dataclasses import dataclass, field
 from typing import Any
 
 from teleop.live.net.wire import ROOM, STAMP, Wire
 from teleop.live.process.realtime import ask
-from teleop.live.process.ticker import Alarm, in_tick_loop
+from teleop.live.process.ticker import Alarm
 from teleop.live.records.end_result import lateness, spread_us
 
 DT_NS = 1_000_000  # the tick of every scene that comes with the package
@@ -26,38 +24,19 @@ SIZE = 100  # bytes of a datagram, as those of a law in one axis
 GIVE_UP_NS = 50_000_000  # after which a datagram over loopback is lost
 
 
-@dataclass
-class _Ticks:
-    """The ticks that ran, and how late (ns)."""
-
-    start_ns: int
-    over: asyncio.Event
-    ran: list[int] = field(default_factory=list)
-    late: list[float] = field(default_factory=list)
-
-    def wake(self) -> None:
-        since = time.monotonic_ns() - self.start_ns
-        k = since // DT_NS
-        if not self.over.is_set() and k > (self.ran[-1] if self.ran else -1):
-            self.ran.append(k)
-            self.late.append(float(since - k * DT_NS))
-            if k >= TICKS - 1:
-                self.over.set()
-
-
-async def timer(report: dict[str, Any]) -> None:
+def timer() -> dict[str, Any]:
     """Tell how late the ticks of a second are, us; `left_out`: those that never ran, as the next was due by then."""
-    ticks = _Ticks(time.monotonic_ns() + 5 * DT_NS, asyncio.Event())
-    alarm = Alarm(asyncio.get_running_loop(), ticks.wake)
-    precise = alarm.precise
-    alarm.set(ticks.start_ns, DT_NS)
-    try:
-        await ticks.over.wait()
-    finally:
-        alarm.close()
-    spread = spread_us(lateness(ticks.ran, ticks.late, DT_NS))
-    report |= {"ticks": ticks.ran[-1] + 1, "left_out": ticks.ran[-1] + 1 - len(ticks.ran), "late_us": spread,
-             "precise": precise}
+    ran: list[int] = []
+    late: list[float] = []
+    start_ns = time.monotonic_ns() + 5 * DT_NS
+    alarm = Alarm()
+    alarm.set(start_ns, DT_NS)
+    while not ran or ran[-1] < TICKS - 1:
+        alarm.wait()
+        since = time.monotonic_ns() - start_ns
+        ran.append(since // DT_NS)
+        late.append(float(since % DT_NS))
+    return {"ticks": ran[-1] + 1, "left_out": ran[-1] + 1 - len(ran), "late_us": spread_us(lateness(ran, late, DT_NS))}
 
 
 def loopback() -> dict[str, Any]:
@@ -114,17 +93,15 @@ def _ancillary_data(sock: socket.socket) -> list[Any]:
 
 def measure() -> dict[str, Any]:
     """Measure all of it, as JSON can hold it; where the loopback failed, its `error`."""
-    ordinary: dict[str, Any] = {}
-    first: dict[str, Any] = {}
-    in_tick_loop(timer(ordinary))
+    ordinary, first = timer(), None
     try:
         over = loopback()
     except OSError as error:
         over = {"error": error.strerror or str(error)}
     granted = ask()
     if granted.priority is not None:
-        in_tick_loop(timer(first))
-    return {"scheduler": granted.scheduler, "memory": granted.memory, "ordinary": ordinary, "realtime": first or None,
+        first = timer()
+    return {"scheduler": granted.scheduler, "memory": granted.memory, "ordinary": ordinary, "realtime": first,
             "loopback": over}
 
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import time
-from contextlib import suppress
-from functools import partial
 
 from teleop.errors import Refused
-from teleop.live.leaving import leave, leave_without_loop, let_go
+from teleop.live.leaving import leave, let_go
 from teleop.live.net.filter import of_next, of_records, of_session
 from teleop.live.net.wire import Wire, host_port
-from teleop.live.process.ticker import Alarm, Suspension, boottime, in_tick_loop
+from teleop.live.process.ticker import Alarm, Suspension, boottime
 from teleop.live.shell import Shell, name_part
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.packet import VERSION, Rejection
@@ -21,6 +18,7 @@ from teleop.protocol.states import Cause
 
 OPEN_NS = RENEW_NS  # of silence, after which a peer is listened for from anywhere
 SEALED_OPEN_NS = 100_000_000  # the same with keys: the peer may have moved, and the session goes on if it is found
+LOOK = 0.005  # s between two looks at a device that cannot be read yet, and at whether a peer is to be waited for
 AGAIN = 0.02  # s: the last packets are sent again after this wait
 SILENT = 250  # such waits in which nothing of the session came, and the other is given up
 HEED = 15  # such waits, and a farewell is heeded: last packets may come behind it
@@ -29,7 +27,7 @@ HINT_NS = 2_000_000_000  # of waiting for a peer, and the terminal is told what 
 EARLY_NS = 10_000_000  # so long before tick 0 the exchange is over at the latest
 
 
-async def first_reading(shell: Shell) -> bool:
+def first_reading(shell: Shell) -> bool:
     """Read the device, before the other end is asked for anything, and begin the record; False if there is no run.
 
     A device that cannot be read yet is asked again, for as long as one that fails during a run.
@@ -40,9 +38,9 @@ async def first_reading(shell: Shell) -> bool:
                 shell.outcome.end("refused", f"the device cannot be read: {shell.device.trouble}")
             elif shell.interrupt.name is not None:
                 shell.stop(f"it was asked to stop ({shell.interrupt.name})")
-            if shell.outcome.over.is_set():
+            if shell.outcome.over:
                 return False
-            await asyncio.sleep(0.005)
+            time.sleep(LOOK)
         shell.endpoint.senses(bool(shell.device.sensor), shell.device.switches)
     except Refused as refused:
         shell.outcome.end("refused", str(refused))
@@ -52,11 +50,11 @@ async def first_reading(shell: Shell) -> bool:
     return True
 
 
-async def meet(shell: Shell) -> bool:
+def meet(shell: Shell) -> bool:
     """The first exchange; False if the run was over before it began."""
     session, stepped = shell.endpoint.session, shell.endpoint.stepped
     began, hinted = time.monotonic_ns(), ""
-    while not shell.outcome.over.is_set():
+    while not shell.outcome.over:
         now = time.monotonic_ns()
         if session.failure is not None:
             shell.outcome.end("refused", session.failure)
@@ -75,7 +73,7 @@ async def meet(shell: Shell) -> bool:
                 shell.hint(hint)
             hinted = hint
         shell.say_again(now)
-        await asyncio.sleep(0.005)
+        shell.listen(LOOK)
     return False
 
 
@@ -152,79 +150,68 @@ class Listening:
             self.wire.keep_to_peer(shapes if endpoint.session.master else shapes + of_next(number))
 
 
-def run_in_loop(shell: Shell, *, spin_ns: int = 0) -> None:
-    """`run` in a loop of its own. No force is left on where the loop itself fails, in which no coroutine goes on."""
-    with suppress(BaseException):  # it is known to the shell
-        in_tick_loop(run(shell, spin_ns=spin_ns), shell.fail)
-    leave_without_loop(shell)
-
-
-async def run(shell: Shell, *, spin_ns: int = 0) -> None:
+def run(shell: Shell, *, spin_ns: int = 0) -> None:
     """The whole run: first reading, first exchange, ticks, farewell; then `shell.outcome` says how it ended.
 
     `spin_ns`: how long before a tick this end wakes, to wait for it awake. Whatever is raised on the way ends the run:
     see `Shell.fail`.
     """
-    loop = asyncio.get_running_loop()
     try:
         gc.collect()  # now: between the first exchange and tick 0 there are 10 ms at most
-        if await first_reading(shell) and await _meet_peer(shell):
+        if first_reading(shell) and meet(shell):
             gc.freeze()  # what is here stays: no collection has to look at it again
             used, began = time.process_time_ns(), time.monotonic_ns()
-            if isinstance(shell.endpoint.inbox, Stepped):
-                await by_packets(shell, shell.endpoint.inbox)
-            else:
-                await ClockDriver(shell, loop, spin_ns).drive()
-                await let_go(shell)
-            counts = shell.counts  # those of the last part, if it was turned
-            counts.run_time = (time.monotonic_ns() - began) / 1e9
-            counts.cpu = (time.process_time_ns() - used) / 1e9 / max(1e-9, counts.run_time)
+            try:
+                if isinstance(shell.endpoint.inbox, Stepped):
+                    by_packets(shell, shell.endpoint.inbox)
+                else:
+                    ClockDriver(shell, spin_ns).drive()
+                    let_go(shell)
+            finally:
+                counts = shell.counts  # those of the last part, if it was turned
+                counts.run_time = (time.monotonic_ns() - began) / 1e9
+                counts.cpu = (time.process_time_ns() - used) / 1e9 / max(1e-9, counts.run_time)
     except BaseException as error:
         shell.fail(error)
-        if (task := asyncio.current_task()) is not None and task.cancelling():
-            raise  # it was this task that was cancelled, from elsewhere
-    finally:
-        loop.remove_reader(shell.wire.sock)
-        await leave(shell)
-
-
-async def _meet_peer(shell: Shell) -> bool:
-    """The first exchange; until it begins nothing that comes is answered."""
-    loop = asyncio.get_running_loop()
-    loop.add_reader(shell.wire.sock, shell.guarded, shell.drain)
     try:
-        return await meet(shell)
-    finally:
-        loop.remove_reader(shell.wire.sock)
+        leave(shell)
+    except BaseException as error:  # a handler of signals that a driver has set may raise at any line
+        shell.fail(error)
+        leave(shell)
 
 
 class ClockDriver:
-    """Ticks when the timer rings. Messages matter at ticks alone, so the socket is read there: see `Wire`."""
+    """Ticks by the clock. Messages matter at ticks alone, so the socket is read there: see `Wire`."""
 
-    def __init__(self, shell: Shell, loop: asyncio.AbstractEventLoop, spin_ns: int) -> None:
+    def __init__(self, shell: Shell, spin_ns: int) -> None:
         self.shell = shell
         self.session = shell.endpoint.session
         self.listening = Listening(shell.endpoint, shell.wire)
         self.suspension = Suspension(boottime())
         self._dt_ns, self._ticks = shell.scene.dt_ns, shell.scene.ticks  # kept, for a scene works them out anew
         self._span_ns = self._dt_ns * shell.endpoint.every
-        self._set_to = 0  # the start of the grid that the timer is set to
-        self._alarm = Alarm(loop, partial(shell.guarded, self._ring), spin_ns)
+        self._set_to = 0  # the start of the grid that the alarm is set to
+        self._alarm = Alarm(spin_ns)
 
-    async def drive(self) -> None:
-        """Tick until the run is over."""
-        shell = self.shell
-        try:
-            self.listening.update(time.monotonic_ns(), shell.take_events())
-            if self.session.joined:
-                self._join(self._due() + 1)
-            elif (reading := shell.device.read(0, time.monotonic_ns())) is not None:
-                shell.endpoint.place(reading.x)
-            shell.retake_signals()
-            self._arm()
-            await shell.outcome.over.wait()
-        finally:
-            self._alarm.close()
+    def drive(self) -> None:
+        """Tick until the run is over; with the force renewed carry out orders, and without whoever gives them, leave.
+
+        Nothing else has to be done meanwhile, so this is all the loop there is: an event loop between timer and tick,
+        its caches cold, cost as much again as waking up.
+        """
+        shell, outcome, alarm = self.shell, self.shell.outcome, self._alarm
+        self.listening.update(time.monotonic_ns(), shell.take_events())
+        if self.session.joined:
+            self._join(self._due() + 1)
+        elif (reading := shell.device.read(0, time.monotonic_ns())) is not None:
+            shell.endpoint.place(reading.x)
+        shell.retake_signals()
+        self._arm()
+        while not outcome.over:
+            alarm.wait()
+            self.wake()
+            if shell.obey is not None and not outcome.over and not shell.obey():
+                shell.stop("the process that gave it orders has ended")
 
     def _start_ns(self) -> int:
         """The time of tick 0."""
@@ -237,7 +224,7 @@ class ClockDriver:
         return (time.monotonic_ns() - self._start_ns()) // self._span_ns * self.shell.endpoint.every
 
     def _arm(self) -> None:
-        """Set the timer to the grid, which a new session or the master's clock may have moved."""
+        """Set the alarm to the grid, which a new session or the master's clock may have moved."""
         start, span = self._start_ns(), self._span_ns
         self._set_to = start
         self._alarm.set(start + ((time.monotonic_ns() - start) // span + 1) * span, span)  # tick 0 may be far ahead
@@ -254,15 +241,6 @@ class ClockDriver:
             return
         shell.counts.first = shell.counts.last + every
         shell.endpoint.join(shell.counts.first)
-
-    def _ring(self) -> None:
-        """Run the tick, and with the force renewed carry out orders; without whoever gives them, leave."""
-        self.wake()
-        orders = self.shell.orders
-        if orders is not None and not self.shell.outcome.over.is_set():
-            orders.read()
-            if orders.over:
-                self.shell.stop("the process that gave it orders has ended")
 
     def _go_on(self) -> None:
         """Follow the end to its new scene: see `teleop.live.turning`."""
@@ -285,11 +263,12 @@ class ClockDriver:
             shell.stop(f"the other end left: {session.farewell}")
         elif shell.interrupt.name is not None:
             shell.stop(f"it was asked to stop ({shell.interrupt.name})")
-        start, every = self._start_ns(), shell.endpoint.every
+        start, every = session.start_ns, shell.endpoint.every
+        assert start is not None
         k = (now - start) // self._span_ns * every
         if start != self._set_to:
             self._arm()
-        if shell.outcome.over.is_set():
+        if shell.outcome.over:
             return
         if k < counts.last and counts.last >= 0:  # a new session's grid is behind: no force until it is there again
             shell.hold(shell.endpoint.left_out(counts.last, "the grid of ticks went back", Cause.CLOCK))
@@ -309,58 +288,51 @@ class ClockDriver:
         shell.live_line.announce(now)
 
 
-async def by_packets(shell: Shell, inbox: Stepped) -> None:
+def by_packets(shell: Shell, inbox: Stepped) -> None:
     """Tick when the peer's packet of the tick before has come; what is lost on the way is sent again."""
     driver = PacketDriver(shell, inbox)
-    asyncio.get_running_loop().add_reader(shell.wire.sock, shell.guarded, driver.drain)
     for k in range(shell.scene.ticks):
-        if not await driver.has_come(k - 1):
+        if not driver.has_come(k - 1):
             break
         shell.counts.last = k
         shell.tick(k, now := time.monotonic_ns(), 0)
         shell.live_line.announce(now)
     else:
         shell.finish()
-    await let_go(shell)  # before it waits for anything
+    let_go(shell)  # before it waits for anything
     for _ in range(LINGER):  # the peer may still wait for the last packets
-        if shell.endpoint.session.farewell is not None or shell.outcome.fault is not None:
+        if shell.endpoint.session.farewell is not None:
             return
         driver.send_again()
         shell.bye()
-        await asyncio.sleep(AGAIN)
+        until = time.monotonic() + AGAIN
+        while (left := until - time.monotonic()) > 0.0:
+            shell.listen(left)
 
 
 class PacketDriver:
-    """Reads the socket when something has come, and knows for how long nothing of the session has."""
+    """Waits for the packets of the peer, and knows for how long nothing of the session has come."""
 
     def __init__(self, shell: Shell, inbox: Stepped) -> None:
         self.shell, self.inbox = shell, inbox
-        self._arrived = asyncio.Event()
-
-    def drain(self) -> None:
-        """Read the socket."""
-        self.shell.drain()
-        self._arrived.set()
 
     def send_again(self) -> None:
         """Send the last packets again."""
         for data in self.shell.recent:
             self.shell.wire.send(data)
 
-    async def has_come(self, packet: int) -> bool:
+    def has_come(self, packet: int) -> bool:
         """Wait for the peer's packet; False if the run is over, or nothing has come for a time."""
         shell, session, quiet = self.shell, self.shell.endpoint.session, 0
         heard, again = shell.endpoint.received, time.monotonic() + AGAIN
-        while not shell.outcome.over.is_set():
+        while not shell.outcome.over:
             if self.inbox.has(packet):
                 return True
             if quiet > (HEED if session.left else SILENT):
                 shell.stop(f"the other end left: {session.farewell or 'it fell silent'}")
             if shell.interrupt.name is not None:
                 shell.stop(f"it was asked to stop ({shell.interrupt.name})")
-            self._arrived.clear()
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._arrived.wait(), max(0.0, again - time.monotonic()))
+            shell.listen(max(0.0, again - time.monotonic()))
             if time.monotonic() < again:
                 continue  # something came, perhaps from an unknown host: that is no reason to wait longer
             quiet = quiet + 1 if session.left or shell.endpoint.received == heard else 0

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 from teleop.errors import Refused, number
 from teleop.live.devices.guarded_device import LiveDevice, is_simulated
 from teleop.live.devices.opening import close, find_device, open_device, watchdog_of
-from teleop.live.driving import run_in_loop
+from teleop.live.driving import run
 from teleop.live.leaving import LastResort
 from teleop.live.live_line import live_text
 from teleop.live.net.wire import Address, Wire, address, bind_towards, bind_udp, host_port, peer_address
 from teleop.live.options import key_options, secure_link, ticks_of
-from teleop.live.orders import SHAPES, Orders, orders_option, tell
+from teleop.live.orders import orders_option, tell
 from teleop.live.process import output, realtime
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES, UNRELEASED
@@ -121,11 +121,11 @@ def _run_with(
 
                 shell.report = partial(_report_event, e)
                 turning = Turning(shell, made, folder, knobs, partial(_turned, args), recorder_of)
-                shell.orders = Orders(SHAPES, turning.take)
+                shell.obey = turning.obey
             _warn(shell, NAMES[e], quiet=args.json or args.quiet)
             _greet(e, args, wire, scheduling.report)
             try:
-                run_in_loop(shell, spin_ns=realtime.SPIN_NS if args.spin else 0)
+                run(shell, spin_ns=realtime.SPIN_NS if args.spin else 0)
             finally:
                 scheduling.give_back()  # what is left to do has time
                 if turning is not None:

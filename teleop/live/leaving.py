@@ -13,15 +13,14 @@ that does not take it; then the status is `UNRELEASED`, and the sentence says th
 
 from __future__ import annotations
 
-import asyncio
 import os
 import select
 import signal
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from fcntl import F_DUPFD_CLOEXEC, fcntl
+from functools import partial
 from threading import Thread, main_thread
 from traceback import walk_stack
 from types import TracebackType
@@ -46,7 +45,7 @@ _HIGH = 200  # the least number of a descriptor that replaces one
 ACT_S = 1.0  # for the device to take zero force, the record to be written and the peer to be told
 
 
-async def let_go(shell: Shell) -> None:
+def let_go(shell: Shell) -> None:
     """Take the force of `shell` to zero, one step a tick; nothing of it is recorded but an event."""
     device, endpoint = shell.device, shell.endpoint
     if shell.outcome.fault is not None or not device.forced:
@@ -57,27 +56,22 @@ async def let_go(shell: Shell) -> None:
         shell.bye()
     most, began, k = _sizes_of(endpoint, endpoint.held.force), time.monotonic_ns(), shell.counts.last
     seen = began  # when it was last read
-    ring = asyncio.Event()
-    alarm = Alarm(asyncio.get_running_loop(), ring.set)
+    alarm = Alarm()
     alarm.set(began + endpoint.end_scene.dt_ns, endpoint.end_scene.dt_ns)
-    try:
-        now, passed, reading = began, 1, None  # that of this tick has been used
-        while True:
-            force = endpoint.held.over(None if reading is None else reading.v, passed)
-            spent = now - seen > BLIND_NS or endpoint.guard.overdue
-            if shell.interrupt.again or spent or not any(force):
-                break
-            if not device.hold(force):
-                break
-            await ring.wait()
-            ring.clear()
-            before, now = now, time.monotonic_ns()
-            passed = max(1, round((now - before) / endpoint.end_scene.dt_ns))
-            k += passed * endpoint.every
-            reading = None if shell.outcome.status == "diverged" else device.read(k, now)
-            seen = seen if reading is None else now
-    finally:
-        alarm.close()
+    now, passed, reading = began, 1, None  # that of this tick has been used
+    while True:
+        force = endpoint.held.over(None if reading is None else reading.v, passed)
+        spent = now - seen > BLIND_NS or endpoint.guard.overdue
+        if shell.interrupt.again or spent or not any(force):
+            break
+        if not device.hold(force):
+            break
+        alarm.wait()
+        before, now = now, time.monotonic_ns()
+        passed = max(1, round((now - before) / endpoint.end_scene.dt_ns))
+        k += passed * endpoint.every
+        reading = None if shell.outcome.status == "diverged" else device.read(k, now)
+        seen = seen if reading is None else now
     if not device.let_go():
         endpoint.guard.tell(shell.counts.ran, "zero", f"the device does not take zero force: {device.trouble}")
         return
@@ -94,41 +88,26 @@ def _sizes_of(endpoint: Endpoint, force: Axes) -> str:
     return enumerated(f"{size:.3g} {unit}" for unit, size in most.items())
 
 
-async def leave(shell: Shell) -> None:
+def leave(shell: Shell) -> None:
     """Take these steps. What one of them raises is a fault of the run, and keeps no other from being taken."""
-    for pause in _steps(shell):
-        await asyncio.sleep(pause)
-
-
-def leave_without_loop(shell: Shell) -> None:
-    """Take them where they were not all taken, for the loop has failed: nothing here needs it, or a descriptor."""
-    for pause in _steps(shell):
-        time.sleep(pause)
-
-
-def _steps(shell: Shell) -> Iterator[float]:
-    """Each step of leaving that is not over at once gives the seconds to wait before it goes on."""
-    if shell.left:
-        return
-    yield from _zero(shell)
+    _zero(shell)
     shell.guarded(shell.take_events)
     shell.guarded(shell.recorder.close)
     for _ in range(3):  # a farewell may be lost too
         shell.guarded(shell.bye)
-        yield 0.002
+        shell.guarded(partial(time.sleep, 0.002))
     shell.counts.dropped = shell.wire.dropped
     shell.guarded(shell.wire.end)
-    shell.left = True
 
 
-def _zero(shell: Shell) -> Iterator[float]:
+def _zero(shell: Shell) -> None:
     device, until = shell.device, time.monotonic_ns() + RETRY_NS
     device.closed = True
     while not device.let_go() and device.forced:
         if time.monotonic_ns() > until:
             shell.outcome.unreleased(f"its device did not take zero force in {RETRY_NS / 1e9:g} s ({device.trouble})")
             break
-        yield PAUSE
+        shell.guarded(partial(time.sleep, PAUSE))
     shell.free = True
 
 
@@ -267,7 +246,7 @@ class LastResort:
 
     def _heeds_the_first(self) -> bool:
         """True before there is a device, and where one signal came and the run is over by it."""
-        return self.shell is None or (len(self._names) == 1 and self.shell.outcome.over.is_set())
+        return self.shell is None or (len(self._names) == 1 and self.shell.outcome.over)
 
     def _act(self) -> None:
         """Zero force, the record, the peer, a sentence, the end; whatever of it hangs."""

@@ -2,14 +2,12 @@
 
 What drives it, tick by tick, stands in `driving`; how it lets go of its device in `leaving`.
 
-The event loop logs an exception out of a callback and goes on, and passes KeyboardInterrupt and SystemExit through
-everything; CancelledError and the panics of compiled extensions are no `Exception`. So a live end takes whatever is
-raised, of any type, for a fault: no force at once, the end of the run, a sentence that names the part.
+KeyboardInterrupt, SystemExit, CancelledError and the panics of compiled extensions are no `Exception`. So a live end
+takes whatever is raised, of any type, for a fault: no force at once, the end of the run, a sentence on the part.
 """
 
 from __future__ import annotations
 
-import asyncio
 import time
 import traceback
 from collections.abc import Callable, Iterable
@@ -24,7 +22,7 @@ from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, deadli
 from teleop.live.live_line import LiveLine, Say
 from teleop.live.net.wire import DRAIN, Wire
 from teleop.live.options import tell_insecure
-from teleop.live.orders import SHARE, Orders, intake
+from teleop.live.orders import SHARE, intake
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.process.realtime import RealTime
 from teleop.live.records.end_result import UNRELEASED
@@ -100,15 +98,15 @@ class Outcome:
     def __init__(self) -> None:
         self.status = "stopped"
         self.sentence = "did not start"
-        self.over = asyncio.Event()
+        self.over = False
         self.fault: BaseException | None = None
 
     def end(self, status: str, sentence: str) -> None:
         """The run is over; the first call counts."""
-        if not self.over.is_set():
+        if not self.over:
             self.status = status
             self.sentence = sentence
-            self.over.set()
+            self.over = True
 
     def fail(self, error: BaseException, why: str, t: float) -> None:
         """The run is over at time `t` (s), for a part of the end raised `error`; the first error counts."""
@@ -117,7 +115,7 @@ class Outcome:
             if self.status != UNRELEASED:  # which weighs more
                 self.status = "stopped"
                 self.sentence = f"stopped at t = {t:.3f} s: {why}"
-        self.over.set()
+        self.over = True
 
     def unreleased(self, why: str) -> None:
         """The device did not take zero force."""
@@ -169,11 +167,10 @@ class Shell:
         self.realtime: RealTime | None = None  # the scheduling of its process
         self.peer_timeout = peer_timeout  # s for the first exchange; None: without a bound
         self.hint: Callable[[str], None] = lambda _sentence: None  # takes the reason why no peer is there
-        self.left = False  # True when all steps of `leaving` are done
         self.free = False  # it has let go of its device, or given that up
         self.recent: tuple[bytes, ...] = ()  # the last two DATA datagrams, to send again when stepped
         self.report: Callable[[Event], None] = lambda _event: None  # takes each event as it is recorded
-        self.orders: Orders | None = None  # where they come in, if it takes any
+        self.obey: Callable[[], bool] | None = None  # carries out orders, if it takes any; False: there are no more
         self._share_ns = int(endpoint.end_scene.dt_ns * SHARE)
 
     def go_on(self, endpoint: Endpoint, recorder: RecordWriter, counts: EndCounts) -> None:
@@ -237,6 +234,11 @@ class Shell:
                     wire.go_with(connection.peer)
                 for reply, to in replies:
                     wire.answer(reply, to)
+
+    def listen(self, seconds: float) -> None:
+        """Wait until something comes, for so long at most, and take it in."""
+        self.wire.wait(seconds)
+        self.drain()
 
     def say_again(self, now: int) -> None:
         """Send again the messages that were not answered."""

@@ -23,13 +23,12 @@ each end is by then.
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from typing import Any
 
 from teleop.errors import Refused
 from teleop.live.devices.guarded_device import deadline_of
-from teleop.live.orders import refuse, tell
+from teleop.live.orders import SHAPES, Orders, refuse, tell
 from teleop.live.records.record import RecordWriter, RunFolder
 from teleop.live.shell import EndCounts, Shell
 from teleop.protocol.endpoint import Endpoint
@@ -37,8 +36,6 @@ from teleop.protocol.guard import Event
 from teleop.protocol.packet import Code
 from teleop.scene.scene import Scene
 from teleop.storage.folder import claim
-
-LOOK = 0.004  # s between two looks at how far a turn has come
 
 Load = Callable[[dict[str, str]], tuple[Scene, dict[str, str], dict[str, str]]]
 """From knobs as texts to the scene, the knobs of its record and its manifest. Raises `Refused`."""
@@ -55,6 +52,7 @@ class Turning:
                  record: Callable[[Scene, dict[str, str]], RecordWriter]) -> None:
         self._shell, self._folder, self._knobs, self._load, self._record = shell, folder, knobs, load, record
         self._device = device
+        self._orders = Orders(SHAPES, self.take)
         self._waits: set[Code] = set()  # for these no next session is begun
         self._next: dict[str, Any] | None = None  # the turn that is under way, before zero force
         self._newest: dict[str, Any] | None = None  # the turn that came meanwhile
@@ -62,6 +60,13 @@ class Turning:
         self._turned = False  # is it made, and not released yet
         self._aligning = False  # is the master on its way to where the next session begins
         self._record_hand()
+
+    def obey(self) -> bool:
+        """Carry out orders that have come, and go on with a turn; False if there will be no more of them."""
+        self._orders.read()
+        if self._next is not None or self._turned:
+            self._look()
+        return not self._orders.over
 
     def take(self, order: dict[str, Any]) -> None:
         """Carry out one order, as `teleop.live.orders.SHAPES` has them."""
@@ -125,9 +130,7 @@ class Turning:
         self._shell.endpoint.session.renews = not self._waits
 
     def _look(self) -> None:
-        """See how far the turn has come, and look again until it is done."""
-        if self._shell.outcome.over.is_set():
-            return
+        """See how far the turn has come, at each tick until it is done."""
         if self._next is not None and self._shell.endpoint.session.zero_force:
             order, self._next = self._next, None
             self._turn(order)
@@ -137,12 +140,9 @@ class Turning:
         elif self._turned and self._is_released():
             self._turned = False
             self._align(None)
-        if self._next is None and not self._turned:
-            if self._newest is not None:
-                order, self._newest = self._newest, None
-                self._begin(order)
-            return
-        asyncio.get_running_loop().call_later(LOOK, self._shell.guarded, self._look)
+        if self._next is None and not self._turned and self._newest is not None:
+            order, self._newest = self._newest, None
+            self._begin(order)
 
     def _is_released(self) -> bool:
         """True if the law's force is on again, or another turn or the clutch has ended the session meanwhile."""

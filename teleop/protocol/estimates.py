@@ -156,7 +156,7 @@ class LinkEstimates:
 
     @property
     def way(self) -> Times:
-        """One-way delays."""
+        """Delays of one way."""
         self._work_out()
         return self._way
 

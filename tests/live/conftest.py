@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import json
 import os
@@ -10,10 +9,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -61,7 +61,7 @@ def make_shell(scene: Scene, e: str, wire: Wire, folder: Path, *, seed: int | No
 
 @dataclass
 class Pair:
-    """A master and a slave in one event loop, over sockets of their own on loopback."""
+    """A master and a slave in threads of this process, over sockets of their own on loopback."""
 
     scene: Scene
     out: Path
@@ -70,7 +70,6 @@ class Pair:
     parts: dict[str, dict[str, Any]] = field(default_factory=lambda: {"m": {}, "s": {}})
     shells: dict[str, Shell] = field(init=False)
     errors: dict[str, BaseException | None] = field(default_factory=dict)
-    drive: Callable[[Shell], Coroutine[Any, Any, None]] = run
 
     def __post_init__(self) -> None:
         slave = self.wire(bind_udp(("127.0.0.1", 0), "--listen"), None)
@@ -82,15 +81,22 @@ class Pair:
 
     def run(self) -> Pair:
         """Run both to their ends; what they raised is in `errors`."""
-        async def both() -> None:
-            ends = [asyncio.create_task(self.drive(self.shells[e])) for e in "sm"]
-            done = await asyncio.wait_for(asyncio.gather(*ends, return_exceptions=True), PATIENCE)
-            self.errors = dict(zip("sm", done, strict=True))
+        def drive(e: str) -> None:
+            self.errors[e] = None
+            try:
+                run(self.shells[e])
+            except BaseException as error:
+                self.errors[e] = error
 
+        ends = [Thread(target=drive, args=e, daemon=True) for e in "sm"]
         gc.collect()
         gc.freeze()  # all that the tests hold is no matter of an end's own collection, just before its first tick
         try:
-            asyncio.run(both())
+            for end in ends:
+                end.start()
+            for end in ends:
+                end.join(PATIENCE)
+                assert not end.is_alive(), "it never came to its end"
         finally:
             for shell in self.shells.values():
                 shell.wire.sock.close()

@@ -18,7 +18,6 @@ from slave.robot import SimulatedSlave
 from teleop.errors import DeviceError
 from teleop.law.contract import Method
 from teleop.live import leaving
-from teleop.live.driving import run
 from teleop.live.leaving import RETRY_NS
 from teleop.live.records.end_result import UNRELEASED
 from teleop.live.records.merge import merge
@@ -91,7 +90,7 @@ ERRORS = [asyncio.CancelledError("by a library"), PanicError("index out of bound
                  marks=[] if (i + (e == "s") + (seed == 1)) % 4 == 0 or (i == 0 and e == "m") else FULL)
     for i, error in enumerate(ERRORS) for e in "ms" for seed in (None, 1)
 ])
-def test_a_driver_whose_exception_the_event_loop_swallows_holds_no_force(
+def test_a_driver_that_raises_what_is_no_exception_to_catch_holds_no_force(
     error: BaseException, e: str, seed: int | None, pair: Make
 ) -> None:
     device = Probe(e, raising(error))
@@ -109,7 +108,7 @@ def test_a_driver_that_raises_when_it_is_given_a_force_is_given_none(error: Base
 @pytest.mark.parametrize(("error", "e"), [(ERRORS[0], "m"), (ERRORS[3], "s"), *[
     pytest.param(error, e, marks=FULL) for error, e in ((ERRORS[0], "s"), (ERRORS[1], "m"), (ERRORS[2], "s"))]],
     ids=lambda each: each if isinstance(each, str) else type(each).__name__)
-def test_a_law_whose_exception_the_event_loop_swallows_holds_no_force(
+def test_a_law_that_raises_what_is_no_exception_to_catch_holds_no_force(
     error: BaseException, e: str, pair: Make
 ) -> None:
     class Law:
@@ -147,22 +146,26 @@ def test_a_live_line_that_raises_ends_the_run_without_force(pair: Make) -> None:
     assert device.held[-1] == (0.0,)
 
 
-def test_a_task_that_is_cancelled_lets_go_and_stays_cancelled(pair: Make) -> None:
-    tasks: list[asyncio.Task[Any]] = []
-    device = Probe("m", lambda: tasks[0].cancel() or None)
-    both = pair(SCENE, parts={"m": {"device": device}, "s": {}})
+def test_a_handler_of_signals_that_raises_while_an_end_leaves_keeps_it_from_no_step(
+    pair: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A driver's handler may raise at any line, so also between two steps."""
+    both = pair(SCENE)
+    own, error = both.shells["m"], KeyboardInterrupt("of a driver")
+    guarded, raised = own.guarded, list[BaseException]()
 
-    async def run_both() -> list[Any]:
-        tasks.extend(asyncio.create_task(run(both.shells[e])) for e in "ms")
-        return await asyncio.gather(*tasks, return_exceptions=True)
+    def interrupted(callback: Callable[[], object]) -> None:
+        if callback == own.recorder.close and not raised:
+            raised.append(error)
+            raise error
+        guarded(callback)
 
-    ended = asyncio.run(run_both())
-    assert isinstance(ended[0], asyncio.CancelledError)
-    assert ended[1] is None
-    assert both.shells["s"].outcome.status == "stopped"
-    assert device.held[-1] == (0.0,)
-    for shell in both.shells.values():
-        shell.wire.sock.close()
+    monkeypatch.setattr(own, "guarded", interrupted)
+    both.run()
+    assert both.errors == {"m": None, "s": None}
+    assert (own.outcome.fault, raised) == (error, [error])
+    assert "KeyboardInterrupt: of a driver" in both.write()[0].joinpath("summary.json").read_text()
+    assert both.status() == {"m": "stopped", "s": "ok"}
 
 
 # The last zero

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import socket
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -335,14 +335,14 @@ def test_a_new_session_is_asked_for_where_the_master_was_told_to_ask(pair: Make)
 
 
 def test_an_end_whose_tick_0_was_moved_far_ahead_heeds_an_interrupt(pair: Make) -> None:
-    """The timer was set to tick 0, and until then nobody looked at anything."""
+    """The alarm was set to tick 0, and until then nobody looked at anything."""
     both = pair(SCENE)
     slave = both.shells["s"]
 
     def move() -> None:
         assert slave.endpoint.session.start_ns is not None
         slave.endpoint.session.start_ns += 600 * 10**9
-        asyncio.get_running_loop().call_later(0.1, setattr, slave.interrupt, "name", "SIGTERM")
+        Timer(0.1, setattr, (slave.interrupt, "name", "SIGTERM")).start()
 
     slave.device.device = faulty(SimulatedSlave(SCENE), 100, move)
     both.run()

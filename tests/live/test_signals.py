@@ -339,15 +339,15 @@ def test_a_driver_that_closed_the_pipe_of_signals_and_hung_was_ended_by_none(
     assert (code, "its device was set to zero force" in err) == (1, True)
 
 
-@pytest.mark.parametrize("kind", ["eventpoll", *(pytest.param(kind, marks=FULL) for kind in ("", "timerfd"))])
+@pytest.mark.parametrize("kind", ["socket", pytest.param("", marks=FULL)])
 def test_a_driver_that_closes_files_that_are_not_its_own_leaves_no_force(
     kind: str, command: Make, tmp_path: Path
 ) -> None:
-    """The loop failed, and nothing that stood in a coroutine was done: 4.26 N on, no status, no error.txt."""
+    """The loop failed, and nothing of the way out was done: 4.26 N on, no status, no error.txt."""
     links = f"[fd for fd in range(3, 64) if fd != FILE and {kind!r} in link(fd)]"
     link = "link = lambda fd: os.path.exists(f'/proc/self/fd/{fd}') and os.readlink(f'/proc/self/fd/{fd}') or 'none'"
     force = robot(tmp_path, "s", where=f"{link}; [os.close(fd) for fd in {links} if link(fd) != 'none']")
-    own, other = pair(command)
+    own, _ = pair(command)
     force.until(lambda f: abs(f) > 0.1)
     code, _, err = own.end()
     assert (code, force()) == (1, 0.0)
@@ -355,7 +355,6 @@ def test_a_driver_that_closes_files_that_are_not_its_own_leaves_no_force(
     assert "Traceback" not in err
     assert summary(tmp_path / "s")["status"] == "stopped"
     assert (tmp_path / "s" / "error.txt").exists()
-    assert not kind or other.end()[0] == 0, "it is told, if there is a socket left"
 
 
 def test_a_driver_that_closed_files_at_its_first_reading_ended_in_tracebacks(command: Make, tmp_path: Path) -> None:
@@ -365,6 +364,6 @@ def test_a_driver_that_closed_files_at_its_first_reading_ended_in_tracebacks(com
     own = command("robot", *SCENE, "--listen", "127.0.0.1:0", "--json", "--out", "s")
     code, _, err = own.end()
     assert (code, force()) == (1, 0.0)
-    assert "the live loop raised OSError" in err
+    assert "the first exchange raised OSError" in err
     assert "Traceback" not in err
     assert "Task" not in err

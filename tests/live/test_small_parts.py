@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import ctypes
 import os
 import signal
@@ -19,63 +18,9 @@ import pytest
 from teleop.errors import Refused
 from teleop.live.net.wire import Wire, address, bind_udp, host_port, peer_address
 from teleop.live.process.interrupt import Interrupt
-from teleop.live.process.ticker import Alarm
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.live
-
-
-# The alarm
-
-
-def rings(
-    due: Callable[[], int], interval_ns: int, enough: Callable[[list[int]], bool] = bool, *, coarse: bool = False
-) -> list[int]:
-    """When it rang, on the monotonic clock, until that is enough and for 0.05 s more."""
-    rang: list[int] = []
-
-    async def run() -> None:
-        alarm = Alarm(asyncio.get_running_loop(), lambda: rang.append(time.monotonic_ns()))
-        if coarse and alarm.precise:
-            alarm.close()
-        alarm.set(due(), interval_ns)
-        end = time.monotonic() + PATIENCE
-        while not enough(rang):
-            assert time.monotonic() < end, rang
-            await asyncio.sleep(0.005)
-        await asyncio.sleep(0.05)
-        alarm.close()
-        count = len(rang)
-        await asyncio.sleep(0.02)
-        assert len(rang) == count  # closed is closed
-
-    asyncio.run(run())
-    return rang
-
-
-def test_where_there_is_no_timer_of_the_system_it_never_rings_early_either() -> None:
-    start = time.monotonic_ns() + 30_000_000
-    rang = rings(lambda: start, 5_000_000, lambda rang: len(rang) > 10, coarse=True)
-    for i, at in enumerate(rang):
-        # Each ring belongs to an instant of its own that has come (this one rounds to its clock's step).
-        assert at >= start + i * 5_000_000 - 2_000_000
-    assert len(rings(lambda: time.monotonic_ns() + 1_000_000, 0, coarse=True)) == 1, "without an interval"
-
-
-def test_an_instant_that_has_passed_rings_at_once_and_keeps_the_grid() -> None:
-    start = time.monotonic_ns() - 12_345_000_000
-
-    def on_time(rang: list[int]) -> bool:
-        return any((at - start) % 20_000_000 < 4_000_000 for at in rang[1:])  # a grid that began now is 5 ms off
-
-    began = time.monotonic_ns()
-    rang = rings(lambda: start, 20_000_000, on_time)
-    assert len(rang) <= (rang[-1] - began) // 20_000_000 + 2, "those that had passed rang once"
-
-
-def test_a_timer_that_cannot_be_set_is_an_error_and_no_endless_wait() -> None:
-    with pytest.raises((OSError, ValueError)):
-        rings(time.monotonic_ns, -1_000_000)
 
 
 # The wire
@@ -96,6 +41,39 @@ def test_what_cannot_be_sent_is_counted_and_what_is_not_there_is_none() -> None:
         assert got is not None
         assert got[:2] == (b"to myself", wire.peer)
         assert wire.sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) > 200_000
+
+
+def test_what_comes_between_two_looks_is_there_at_the_next_also_if_it_is_empty() -> None:
+    """After a datagram the socket is asked if there is more; after none it is read."""
+    wire = Wire(bind_udp(("127.0.0.1", 0), "--listen"), None)
+    with wire.sock:
+        wire.peer = wire.sock.getsockname()
+        for count in (0, 1, 0, 3, 2, 0, 0, 1):
+            for i in range(count):
+                wire.send(bytes(i))
+            if count:
+                wire.wait(PATIENCE)
+            assert [got[0] for got in iter(wire.receive, None)] == [bytes(i) for i in range(count)]
+        wire.send(b"one")
+        wire.wait(PATIENCE)
+        assert wire.receive() is not None
+        wire.send(b"another")
+        wire.wait(PATIENCE)
+        assert wire.receive() is not None
+
+
+def test_a_socket_that_others_have_closed_is_no_empty_one() -> None:
+    for took in (False, True):
+        wire = Wire(bind_udp(("127.0.0.1", 0), "--listen"), None)
+        wire.peer = wire.sock.getsockname()
+        if took:
+            wire.send(b"one")
+            wire.wait(PATIENCE)
+            assert wire.receive() is not None
+        os.close(wire.sock.fileno())
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            wire.receive()
+        wire.sock.detach()
 
 
 def test_an_end_on_all_addresses_is_on_all_of_them_again_after_a_silence() -> None:
@@ -170,17 +148,6 @@ def test_a_signal_that_foreign_code_took_is_taken_back_however_it_was_taken() ->
             os.kill(os.getpid(), signal.SIGTERM)
             assert interrupt.name == "SIGTERM"
         assert interrupt.times == 4
-
-
-def test_an_event_loop_leaves_the_note_alone() -> None:
-    async def run() -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        await asyncio.sleep(0.01)
-
-    with Interrupt() as interrupt:
-        asyncio.run(run())
-        assert interrupt.name == "SIGINT"
-        os.kill(os.getpid(), signal.SIGTERM)  # after the loop: what is being written is finished
 
 
 @pytest.mark.parametrize(("name", "options"), [

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import socket
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -25,10 +25,8 @@ from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.live.driving import AGAIN
-from teleop.live.driving import run as drive
 from teleop.live.net.wire import Wire
 from teleop.live.records.merge import merge
-from teleop.live.shell import Shell
 from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping
 from teleop.protocol.packet import Kind, peek
@@ -235,25 +233,21 @@ def test_garbage_that_keeps_coming_stops_no_resend_and_no_giving_up(
         master = both.shells["m"].wire
         master.send = lambda data: None if peek(data)[1] > 20 or peek(data)[0] is Kind.BYE else Wire.send(master, data)
 
-    async def throw() -> None:
+    addresses, is_over = [shell.wire.sock.getsockname() for shell in both.shells.values()], Event()
+
+    def throw() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-            while True:
-                for shell in both.shells.values():
-                    stranger.sendto(b"?", shell.wire.sock.getsockname())
-                await asyncio.sleep(AGAIN / 4)
+            while not is_over.wait(AGAIN / 4):
+                for address in addresses:
+                    stranger.sendto(b"?", address)
 
-    async def under_fire(shell: Shell) -> None:
-        if shell.endpoint.e == "m":
-            await drive(shell)
-            return
-        thrower = asyncio.create_task(throw())
-        try:
-            await drive(shell)
-        finally:
-            thrower.cancel()
-
-    both.drive = under_fire
-    both.run()
+    thrower = Thread(target=throw)
+    thrower.start()
+    try:
+        both.run()
+    finally:
+        is_over.set()
+        thrower.join()
     assert both.errors == {"m": None, "s": None}
     slave = both.shells["s"].outcome
     assert (slave.status, "it fell silent" in slave.sentence) == (("stopped", True) if killed else ("ok", False))

@@ -83,10 +83,10 @@ def test_a_live_end_whose_machine_was_suspended_is_safe_at_once_and_goes_on_in_a
 
     drive = ClockDriver.drive
 
-    async def suspended_once(driver: ClockDriver) -> None:
+    def suspended_once(driver: ClockDriver) -> None:
         if driver.shell is slave:
             driver.suspension = Suspension(boot)
-        await drive(driver)
+        drive(driver)
 
     monkeypatch.setattr(ClockDriver, "drive", suspended_once)
     both.run()

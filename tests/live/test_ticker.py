@@ -1,164 +1,108 @@
-"""The alarm and the loop of a live end: none of its instants is early, lost or told twice, and all else goes on."""
+"""The alarm of a live end: none of its instants is early, lost or waited for twice; and the relay's timer."""
 
 from __future__ import annotations
 
-import asyncio
-import socket
 import time
-from collections.abc import Callable, Coroutine
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from itertools import pairwise
 
 import pytest
 
-from teleop.live.process.ticker import Alarm, TickLoop, Timer
-from tests.waiting import PATIENCE
+from teleop.live.process.ticker import Alarm, Timer
 
-pytestmark = [pytest.mark.live, pytest.mark.skipif(Timer().fd < 0, reason="there is no timerfd here")]
+pytestmark = pytest.mark.live
 MS = 1_000_000
 
 
-class Ring(NamedTuple):
-    """Times of one ring, ns from the start: when it rang, and the instant that it rang for."""
-
-    at: int
-    instant: int
-
-
 def ring(
-    alarms: Callable[[asyncio.AbstractEventLoop, Callable[[], None]], Alarm], start: int, interval: int,
-    enough: Callable[[list[Ring]], bool], busy: Callable[[int], None] = lambda _: None,
-    loop: Callable[[], asyncio.AbstractEventLoop] | None = None,
-) -> list[Ring]:
-    """The rings of an alarm until there are enough, and for 40 ms more.
+    alarm: Alarm, start: int, interval: int, count: int, busy: Callable[[int], None] = lambda _: None
+) -> list[int]:
+    """The times (ns from the start) at which so many waits of an alarm were over; `busy` is called between two of them.
 
-    `busy` keeps the loop from the alarm at each ring. A ring may come after the next instant: the machine may take
-    the processor away at any point. Which instant it is for is known to the alarm alone.
+    A wait may be over after the next instant: the machine may take the processor away at any point.
     """
-    rang: list[Ring] = []
-
-    async def run() -> None:
-        def wake() -> None:
-            rang.append(Ring(time.monotonic_ns() - start, alarm._due - alarm._interval - start))
-            busy(len(rang))
-
-        alarm = alarms(asyncio.get_running_loop(), wake)
-        alarm.set(start, interval)
-        end = time.monotonic() + PATIENCE
-        while not enough(rang):
-            assert time.monotonic() < end, rang
-            await asyncio.sleep(0.002)
-        await asyncio.sleep(0.04)
-        alarm.close()
-
-    with asyncio.Runner(loop_factory=loop) as runner:
-        runner.run(run())
-    return rang
+    alarm.set(start, interval)
+    over: list[int] = []
+    for i in range(count):
+        if i:
+            busy(i)
+        alarm.wait()
+        over.append(time.monotonic_ns() - start)
+    return over
 
 
-@pytest.mark.parametrize("loop", [None, TickLoop])
 @pytest.mark.parametrize("spin_ns", [0, 150_000, 3 * MS, 40 * MS])
-@pytest.mark.parametrize("interval", [0, 5 * MS])
-def test_it_rings_at_or_after_its_instant_and_once_for_each(
-    spin_ns: int, interval: int, loop: Callable[[], asyncio.AbstractEventLoop] | None
-) -> None:
+def test_it_waits_until_its_instant_and_once_for_each(spin_ns: int) -> None:
     """Even if it is to wait awake for longer than from one instant to the next."""
-    last = 12 * interval
-    rang = ring(lambda loop, wake: Alarm(loop, wake, spin_ns), time.monotonic_ns() + 20 * MS, interval,
-                lambda rang: bool(rang) and rang[-1].instant >= last, loop=loop)
-    assert all(one.at >= one.instant for one in rang)
-    instants = [one.instant for one in rang]
-    if not interval:
-        assert instants == [0]
-        return
-    assert instants == sorted(set(instants)), "none twice"
-    assert {instant % interval for instant in instants} == {0}
+    over = ring(Alarm(spin_ns), time.monotonic_ns() + 20 * MS, 5 * MS, 12)
+    assert over[0] >= 0
+    assert all(then // (5 * MS) < now // (5 * MS) for then, now in pairwise(over)), "none twice, and none early"
+    assert ring(Alarm(spin_ns), time.monotonic_ns() + 20 * MS, 0, 1)[0] >= 0
 
 
-class StandIn:
-    """A timer and its clock: it rings when the test says, and time passes only while it is waited for awake."""
+class Clock:
+    """The module `time` with a clock of its own, which goes on by a microsecond whenever it is read."""
 
-    fd = 0
-
-    def __init__(self, now: int) -> None:
-        self.now, self.rings, self.asked = now, 0, (0, 0)
-
-    def add_reader(self, _fd: int, wake: Callable[[], None]) -> None:
-        self.wake = wake
-
-    def set(self, due_ns: int, interval_ns: int) -> None:
-        self.asked = due_ns, interval_ns
-
-    def expirations(self) -> int:
-        rings, self.rings = self.rings, 0
-        return rings
+    def __init__(self) -> None:
+        self.now, self.slept = 0, list[int]()
 
     def monotonic_ns(self) -> int:
         self.now += 1000
         return self.now
 
-    def ring(self, now: int, rings: int) -> None:
-        """The loop sees the timer at `now`, so many of its instants after it last did."""
-        self.now, self.rings = max(now, self.now), rings
-        self.wake()
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(round(seconds * 1e9))
+        self.now += self.slept[-1]
 
 
-@pytest.mark.parametrize("spin_ns", [150_000, 3 * MS, 12 * MS])
-def test_each_instant_that_the_timer_tells_has_one_ring_and_several_at_once_are_that_of_the_last(
+@pytest.mark.parametrize("spin_ns", [0, 150_000, 3 * MS, 12 * MS])
+def test_it_sleeps_up_to_its_instant_and_waits_for_the_rest_awake(
     spin_ns: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    it = StandIn(0)
-    monkeypatch.setattr("teleop.live.process.ticker.Timer", lambda: it)
-    monkeypatch.setattr("teleop.live.process.ticker.time", it)
-    rang: list[int] = []
-    alarm = Alarm(it, lambda: rang.append(it.now), spin_ns)  # type: ignore[arg-type]  # a stand-in for the loop
-    start = 20 * MS
+    clock, start = Clock(), 20 * MS
+    monkeypatch.setattr("teleop.live.process.ticker.time", clock)
+    alarm = Alarm(spin_ns)
     alarm.set(start, 5 * MS)
-    assert it.asked == (start - spin_ns, 5 * MS)
-    for instant, rings in ((0, 1), (1, 1), (2, 1), (5, 3), (6, 1)):
-        it.ring(start + instant * 5 * MS - spin_ns, rings)
-        assert start + instant * 5 * MS <= rang[-1] < start + instant * 5 * MS + 2000
-    it.ring(it.now, 0)
-    assert len(rang) == 5, "what was set again meanwhile does not ring"
-    it.ring(start + 9 * 5 * MS, 1)
-    assert len(rang) == 6, "late, it rings at once"
+    for due in (start, start + 5 * MS, start + 10 * MS):
+        left = due - spin_ns - clock.now - 1000
+        clock.slept.clear()
+        alarm.wait()
+        assert due <= clock.now < due + 2000
+        assert clock.slept == ([left] if left > 0 else [])
+    clock.now = start + 30 * MS + 77_000
+    alarm.wait()
+    assert clock.now < start + 30 * MS + 80_000, "late, it is over at once, for all that have passed together"
+    alarm.wait()
+    assert start + 35 * MS <= clock.now < start + 35 * MS + 2000
 
 
 def test_instants_that_were_missed_are_left_out_and_the_next_is_not_early() -> None:
-    """The loop is kept busy over some of them: they ring once together, and the grid stays."""
+    """Whoever waits was busy over some of them: they are over once together, and the grid stays."""
     interval = 20 * MS
-
-    def busy(count: int) -> None:
-        if count == 2:
-            time.sleep(0.07)
-
-    rang = ring(lambda loop, wake: Alarm(loop, wake, 2 * MS), time.monotonic_ns() + 20 * MS, interval,
-                lambda rang: bool(rang) and rang[-1].instant >= 8 * interval, busy)
-    instants = [one.instant // interval for one in rang]
+    over = ring(Alarm(2 * MS), time.monotonic_ns() + 20 * MS, interval, 6, lambda i: time.sleep(0.07 * (i == 2)))
+    instants = [at // interval for at in over]
     assert instants == sorted(set(instants))
     assert instants[2] - instants[1] >= 3
-    assert all(one.at >= one.instant == k * interval for one, k in zip(rang, instants, strict=True))
 
 
-def test_it_may_be_set_again_while_it_rings() -> None:
-    alarm: list[Alarm] = []
-    start = time.monotonic_ns() + 20 * MS
-    steps = [0, 7 * MS, 9 * MS, 30 * MS]
-
-    def made(loop: asyncio.AbstractEventLoop, wake: Callable[[], None]) -> Alarm:
-        alarm.append(Alarm(loop, wake, 3 * MS))
-        return alarm[0]
-
-    def again(count: int) -> None:
-        if count < len(steps):
-            alarm[0].set(start + steps[count])
-
-    rang = ring(made, start, 0, lambda rang: len(rang) >= len(steps), again)
-    assert [one.instant for one in rang] == steps
-    assert all(one.at >= one.instant for one in rang)
+def test_it_may_be_set_again_between_two_waits() -> None:
+    alarm, start = Alarm(3 * MS), time.monotonic_ns() + 20 * MS
+    for step in (0, 7 * MS, 9 * MS, 30 * MS):
+        assert ring(alarm, start + step, 0, 1)[0] >= 0
 
 
+def test_an_instant_that_has_passed_is_not_waited_for_and_the_grid_stays() -> None:
+    start = time.monotonic_ns() - 12_345 * MS
+    over = ring(Alarm(), start, 20 * MS, 3)
+    assert over[0] >= 12_345 * MS
+    assert all(then // (20 * MS) < now // (20 * MS) for then, now in pairwise(over))
+
+
+@pytest.mark.skipif(Timer().fd < 0, reason="there is no timerfd here")
 def test_a_timer_counts_its_rings_and_is_read_without_waiting() -> None:
     timer = Timer()
+    with pytest.raises(OSError, match="cannot be set"):
+        timer.set(time.monotonic_ns(), -MS)
     assert timer.expirations() == 0
     began = time.monotonic_ns()
     timer.set(began - 1000 * MS, MS)
@@ -167,101 +111,3 @@ def test_a_timer_counts_its_rings_and_is_read_without_waiting() -> None:
     assert told >= 1000
     assert timer.expirations() + told <= 1001 + (time.monotonic_ns() - began) // MS, "those are told"
     timer.close()
-
-
-SENT = 2_000_000  # bytes
-
-
-def in_loop(run: Callable[[TickLoop], Coroutine[Any, Any, None]]) -> None:
-    async def main() -> None:
-        loop = asyncio.get_running_loop()
-        assert isinstance(loop, TickLoop)
-        await asyncio.wait_for(run(loop), PATIENCE)
-
-    with asyncio.Runner(loop_factory=TickLoop) as runner:
-        runner.run(main())
-
-
-def test_while_a_timer_rings_sockets_are_read_and_written_and_tasks_run() -> None:
-    rang: list[int] = []
-
-    async def run(loop: TickLoop) -> None:
-        one, other = socket.socketpair()
-        with one, other:
-            one.setblocking(False)
-            other.setblocking(False)
-            alarm = Alarm(loop, lambda: rang.append(1))
-            alarm.set(time.monotonic_ns(), MS)
-            sending = asyncio.create_task(loop.sock_sendall(one, bytes(SENT)))  # more than there is room for
-            got = 0
-            while got < SENT:
-                got += len(await loop.sock_recv(other, SENT // 50))
-                await asyncio.sleep(0.0005)
-            await sending
-            alarm.close()
-
-    in_loop(run)
-    assert len(rang) >= 10
-
-
-def test_what_a_ring_sets_is_waited_for_no_longer_than_until_the_next() -> None:
-    """The selector returns after each ring: what became ready by it, an event, is looked at at once."""
-    async def run(loop: TickLoop) -> None:
-        for _ in range(5):
-            event = asyncio.Event()
-            alarm = Alarm(loop, event.set)
-            alarm.set(time.monotonic_ns() + MS)  # once: no other ring would wake the loop
-            await event.wait()
-            alarm.close()
-
-    in_loop(run)
-
-
-def test_a_reader_that_raises_is_reported_and_rings_again() -> None:
-    rang: list[int] = []
-    told: list[Any] = []
-
-    def wake() -> None:
-        rang.append(1)
-        raise RuntimeError("of a reader")
-
-    async def run(loop: TickLoop) -> None:
-        loop.set_exception_handler(lambda _, context: told.append(context["exception"]))
-        alarm = Alarm(loop, wake)
-        alarm.set(time.monotonic_ns(), MS)
-        while len(rang) < 3:
-            await asyncio.sleep(0.001)
-        alarm.close()
-
-    in_loop(run)
-    assert len(told) == len(rang)
-    assert {str(error) for error in told} == {"of a reader"}
-
-
-def test_a_timer_that_was_closed_rings_no_more() -> None:
-    rang: list[int] = []
-
-    async def run(loop: TickLoop) -> None:
-        alarm = Alarm(loop, lambda: rang.append(1))
-        alarm.set(time.monotonic_ns(), MS)
-        while not rang:
-            await asyncio.sleep(0.001)
-        alarm.close()
-        before = len(rang)
-        await asyncio.sleep(0.01)
-        assert len(rang) == before
-
-    in_loop(run)
-
-
-@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
-def test_what_ends_a_process_comes_through(stop: type[BaseException]) -> None:
-    def wake() -> None:
-        raise stop
-
-    async def run(loop: TickLoop) -> None:
-        Alarm(loop, wake).set(time.monotonic_ns())
-        await asyncio.sleep(PATIENCE)
-
-    with pytest.raises(stop):
-        in_loop(run)

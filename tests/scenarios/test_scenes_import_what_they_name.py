@@ -28,7 +28,7 @@ ESTIMATORS = {f"teleop.stages.velocity.{name}"
 DEVICES = {"teleop.stages.device", "teleop.stages.passivity_controller"}
 BODIES = {f"teleop.physics.{name}" for name in ("implicit", "sdirk", "relaxing", "carried", "contact")}
 REFERENCES = {"master.recording"}  # the other references share a file with the grip
-ALIVE = {"asyncio", "socket", "select", "msgpack", "concurrent.futures", "subprocess", "teleop.live",
+ALIVE = {"socket", "select", "msgpack", "teleop.live",
          "teleop.protocol.packet", "teleop.protocol.endpoint", "teleop.protocol.session"}  # of NEVER, at a live end
 NEVER_LIVE = NEVER - ALIVE | {"teleop.live.devices.device_watchdog", "teleop.live.turning", "teleop.live.page",
                               "teleop.protocol.secure.secure_link", "teleop.stages.velocity", "teleop.terminal.answer"}

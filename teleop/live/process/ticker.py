@@ -1,114 +1,19 @@
-"""Timers for asyncio that are late by tens of microseconds, not by a millisecond, and the clock of suspension.
+"""Timers that are late by tens of microseconds, and the clock of suspension.
 
-asyncio's own timers are rounded up to its selector's whole milliseconds. A Linux timerfd is a file that becomes
-readable at the instant, so the loop wakes for it as it does for a socket. Where there is none, the loop's own timers
-are used and `precise` says so.
-
-What remains is the time that the system takes to wake a process, and asyncio to come to the point. The second is
-known, and the timer is set earlier by it. An alarm with `spin_ns` is woken earlier still and waits for the instant
-awake, which costs that share of a core and takes the first away too.
-
-To asyncio a timer that rings is a readable file: a key to look up, a list of events, a handle that is queued and run in
-a context, and all that a thousand times a second with cold caches. In `TickLoop` the selector calls the reader itself
-and returns the other events, of which there are nearly always none.
+A live end sleeps from tick to tick (`Alarm`). The relay has sockets to wait for besides: it has a Linux timerfd
+(`Timer`), a file that becomes readable at the instant.
 """
 
 from __future__ import annotations
 
-import asyncio
 import ctypes
-import gc
 import os
-import select
-import selectors
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import Any
-
-_MOST = 16  # events in one call
-_LOOK_S = 0.1  # without any event, after which the timers are checked: others may have closed one
-
-
-if hasattr(select, "epoll"):
-
-    class _Ringing(selectors.EpollSelector):
-        """Selector that calls `readers`, by the file of their timer, when it rings."""
-
-        def __init__(self) -> None:
-            super().__init__()
-            self.readers: dict[int, Callable[[], None]] = {}
-            self.epoll: Any = self._selector  # type: ignore[attr-defined]  # typeshed lacks it
-
-        def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-            """Call the readers of the timers that rang; return the other files that are ready."""
-            readers = self.readers
-            if not readers:
-                return super().select(timeout)
-            ready: list[tuple[selectors.SelectorKey, int]] = []
-            longest = _LOOK_S if timeout is None else min(max(timeout, 0.0), _LOOK_S)
-            try:
-                events = self.epoll.poll(longest, _MOST)
-            except InterruptedError:
-                return ready
-            if not events and longest == _LOOK_S:
-                for fd in readers:
-                    self.epoll.modify(fd, select.EPOLLIN)  # raises OSError if somebody has closed that timer
-            for fd, event in events:
-                if fd in readers:
-                    readers[fd]()
-                else:
-                    key = self.get_map()[fd]
-                    mask = (selectors.EVENT_WRITE if event & ~select.EPOLLIN else 0) | (
-                        selectors.EVENT_READ if event & ~select.EPOLLOUT else 0)
-                    ready.append((key, mask & key.events))
-            return ready
-
-
-class TickLoop(asyncio.SelectorEventLoop):
-    """asyncio's own loop with `ring`. It needs epoll: see `available`."""
-
-    available = hasattr(select, "epoll")
-
-    def __init__(self) -> None:
-        self._ringing = _Ringing()
-        super().__init__(self._ringing)
-
-    def ring(self, fd: int, reader: Callable[[], None]) -> None:
-        """Call `reader` whenever the timer behind `fd` rings; what it raises is reported as asyncio does."""
-        def call() -> None:
-            try:
-                reader()
-            except Exception as error:
-                self.call_exception_handler({"message": "a timer's reader raised", "exception": error})
-
-        self._ringing.readers[fd] = call
-        self._ringing.epoll.register(fd, select.EPOLLIN)
-
-    def ring_no_more(self, fd: int) -> None:
-        """Forget that timer."""
-        del self._ringing.readers[fd]
-        with suppress(OSError):  # others have closed it
-            self._ringing.epoll.unregister(fd)
-
-
-def in_tick_loop(main: Coroutine[Any, Any, None], failed: Callable[[BaseException], None] = lambda _: None) -> None:
-    """Run like `asyncio.run`, in such a loop where the system has epoll.
-
-    `failed` gets the error that ended it, before the loop is taken down.
-    """
-    with asyncio.Runner(loop_factory=TickLoop if TickLoop.available else None) as runner:
-        try:
-            runner.run(main)
-        except BaseException as error:
-            failed(error)
-            gc.freeze()  # a loop whose files are gone cannot be closed, and would say so when it is collected
-            raise
-
 
 _ABSOLUTE = 1  # TFD_TIMER_ABSTIME
-_LOOP_NS = 15_000  # from waking up to the callback; where that is faster, the rest is waited for
 
 
 class _Timespec(ctypes.Structure):
@@ -155,62 +60,34 @@ class Timer:
         self.fd = -1
 
 
-class Alarm:
-    """Calls `wake` at instants of the monotonic clock (ns): once, or again every `interval_ns`; never before them.
+_SLACK = 29  # PR_SET_TIMERSLACK of Linux, which is 50 us by default for a thread that is not real-time
 
-    With `spin_ns` it is there so long before an instant, and awake until then. What is not precise cannot do that.
+
+class Alarm:
+    """Waits for instants of the monotonic clock (ns): for one, or for each of those `interval_ns` apart.
+
+    With `spin_ns` it wakes so long before an instant, and is awake until then.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, wake: Callable[[], None], spin_ns: int = 0) -> None:
-        self._loop, self._wake = loop, wake
-        self._handle: asyncio.TimerHandle | None = None
-        self._due, self._interval, self._early = 0, 0, max(spin_ns, _LOOP_NS)
-        self._timer = Timer()
-        self.precise = self._timer.fd >= 0
-        if self.precise:
-            (loop.ring if isinstance(loop, TickLoop) else loop.add_reader)(self._timer.fd, self._rang)
+    def __init__(self, spin_ns: int = 0) -> None:
+        self._due, self._interval, self._early = 0, 0, spin_ns
+        with suppress(OSError, AttributeError):  # elsewhere than on Linux the system wakes as it does
+            ctypes.CDLL(None).prctl(_SLACK, 1, 0, 0, 0)
 
     def set(self, due_ns: int, interval_ns: int = 0) -> None:
-        """Ring at `due_ns` (at once if it has passed), then every `interval_ns` if that is not 0."""
+        """Wait for `due_ns`, then for every `interval_ns` after it if that is not 0."""
         self._due, self._interval = due_ns, interval_ns
-        if self.precise:
-            self._timer.set(due_ns - self._early, interval_ns)
-        else:
-            self._arm()
 
-    def close(self) -> None:
-        """Ring no more."""
-        if self.precise:
-            loop = self._loop
-            (loop.ring_no_more if isinstance(loop, TickLoop) else loop.remove_reader)(self._timer.fd)
-            self._timer.close()
-            self.precise = False
-        elif self._handle is not None:
-            self._handle.cancel()
-
-    def _rang(self) -> None:
-        """Wait for the last of the instants that rang: those before it have passed."""
-        count = self._timer.expirations()
-        if not count:
-            return
-        clock, due = time.monotonic_ns, self._due + (count - 1) * self._interval
-        self._due = due + self._interval
-        while clock() < due:
+    def wait(self) -> None:
+        """Sleep until the next instant, never less; return at once where it has passed. Those missed are skipped."""
+        clock, due = time.monotonic_ns, self._due
+        left = due - self._early - clock()
+        if left > 0:
+            time.sleep(left * 1e-9)
+        while (now := clock()) < due:
             pass
-        self._wake()
-
-    def _arm(self) -> None:
-        if self._handle is not None:
-            self._handle.cancel()
-        wait = max(0, self._due - time.monotonic_ns())
-        self._handle = self._loop.call_later(wait / 1e9, self._rang_coarse)
-
-    def _rang_coarse(self) -> None:
         if self._interval:
-            behind = max(0, time.monotonic_ns() - self._due) // self._interval
-            self._due += self._interval * (behind + 1)
-            self._arm()
-        self._wake()
+            self._due = due + ((now - due) // self._interval + 1) * self._interval
 
 
 LEAST_NS = 1_000_000  # shorter is no suspension

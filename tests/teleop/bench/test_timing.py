@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import asyncio
 import subprocess
 import time
 from itertools import pairwise
 from pathlib import Path
+from threading import Event, Thread
 
 import pytest
 
 from teleop.bench import timing
 from teleop.bench.timing import CarriedLoad, Late, carried, compiled, datagrams, round_trips, ticks
 from teleop.live.net.wire import Wire, bind_udp
+from teleop.live.process.ticker import Alarm
 
 pytestmark = pytest.mark.live
 
@@ -27,35 +28,35 @@ def c(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.mark.parametrize("spin_ns", [0, 150_000])
 def test_an_alarm_is_timed(spin_ns: int) -> None:
-    late = asyncio.run(timing.tick(50, spin_ns))
+    late = timing.tick(50, spin_ns)
     assert len(late) == 50
     assert min(late) >= 0
 
 
-def test_ticks_that_a_stall_swallowed_are_late_each_by_its_own() -> None:
+def test_ticks_that_a_stall_swallowed_are_late_each_by_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """One late call for all of them made a loop that stalls look better than one that is a little late each time."""
-    async def run() -> list[int]:
-        asyncio.get_running_loop().call_later(0.04, time.sleep, 0.01)
-        return await timing.tick(60, 0)
+    wait, waits = Alarm.wait, [0]
 
-    late = asyncio.run(run())
+    def stalls(alarm: Alarm) -> None:
+        waits[0] += 1
+        time.sleep(0.01 * (waits[0] == 20))
+        wait(alarm)
+
+    monkeypatch.setattr(Alarm, "wait", stalls)
+    late = timing.tick(60, 0)
     assert len(late) == 60
     assert sum(each > 3_000_000 for each in late) >= 5
     assert any(one - after == timing.TICK_NS for one, after in pairwise(late))
 
 
 def test_a_datagram_goes_there_and_back() -> None:
-    async def run() -> list[int]:
-        over = asyncio.Event()
-        echo = asyncio.create_task(timing.echo(Wire(there, None), over))
-        await asyncio.sleep(0)
-        trips = await timing.ping(Wire(here, there.getsockname()), 20)
-        over.set()
-        await echo
-        return trips
-
+    over = Event()
     with bind_udp(("127.0.0.1", 0), "--listen") as here, bind_udp(("127.0.0.1", 0), "--listen") as there:
-        trips = asyncio.run(run())
+        echo = Thread(target=timing.echo, args=(Wire(there, None), over.is_set))
+        echo.start()
+        trips = timing.ping(Wire(here, there.getsockname()), 20)
+        over.set()
+        echo.join()
     assert len(trips) == 20
     assert min(trips) > 0
 
