@@ -12,6 +12,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -318,10 +319,9 @@ class Shell:
     def beyond(self, reading: Reading) -> bool:
         """True if the motion has left the scene's bounds; the run is over then, at the tick before this one."""
         limit, ran = self.scene.x_limit, self.counts.ran
-        for x in reading.x:
-            if not -limit < x < limit:
-                break
-        else:
+        if -limit < min(reading.x) and max(reading.x) < limit and isfinite(sum(reading.x)):
+            return False  # nearly always
+        if all(-limit < x < limit for x in reading.x):
             return False
         passed = f"x_{self.endpoint.e} passed {limit:g} m"
         self.endpoint.guard.tell(ran, "safe", f"the motion: {passed}")

@@ -16,10 +16,12 @@ first axis.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum, StrEnum
 from functools import partial
+from itertools import chain
 from math import isfinite
+from operator import itemgetter
 from struct import Struct
 from typing import Any, Literal, NamedTuple
 from zlib import crc32
@@ -343,30 +345,38 @@ def peek(data: bytes) -> tuple[Kind, int] | tuple[None, int]:
 class Layout:
     """Messages of type `kind`, one for each axis, as a flat tuple. `couples`: their sender couples its axes."""
 
-    __slots__ = ("_axes", "_each", "_fields", "_kind", "_places", "width")
+    __slots__ = ("_axes", "_fields", "_kind", "_of_axis", "_sent", "width")
 
     def __init__(self, kind: Any, axes: int, *, couples: bool) -> None:
         once = totals(kind) if couples else ()
         self._kind, self._axes, self._fields = kind, axes, len(kind._fields)
-        self._each = [i for i, field in enumerate(kind._fields) if field not in once]
-        self.width = self._fields + (axes - 1) * len(self._each)  # numbers in a packet
+        each = [i for i, field in enumerate(kind._fields) if field not in once]
+        self.width = self._fields + (axes - 1) * len(each)  # numbers in a packet
         first = list(range(self._fields))
-        self._places = [first]  # of each axis, where its fields stand in the packet
+        sent, places = first.copy(), [first]  # which numbers of all messages are sent; where those of an axis stand
         for i in range(1, axes):
-            places = first.copy()
-            for n, field in enumerate(self._each):
-                places[field] = self._fields + (i - 1) * len(self._each) + n
-            self._places.append(places)
+            sent += [i * self._fields + field for field in each]
+            places.append([self._fields + (i - 1) * len(each) + each.index(field) if field in each else field
+                           for field in first])
+        self._sent = None if len(sent) == axes * self._fields else _picker(sent)
+        self._of_axis = [_picker(each_axis) for each_axis in places]
 
     def flat(self, messages: tuple[Any, ...]) -> tuple[float, ...]:
         """The numbers of the messages of all axes, each a float: a law may give an int, or a number of numpy's."""
         if len(messages) == 1:
             return tuple(map(float, messages[0]))
-        rest = [message[i] for message in messages[1:] for i in self._each]
-        return tuple(map(float, [*messages[0], *rest]))
+        numbers = tuple(map(float, chain.from_iterable(messages)))
+        return numbers if self._sent is None else self._sent(numbers)
 
     def messages(self, numbers: tuple[float, ...]) -> tuple[Any, ...]:
         """The messages of all axes; what stands behind them in `numbers` is not theirs."""
         if self._axes == 1:
             return (_new(self._kind, numbers[:self._fields]),)
-        return tuple([_new(self._kind, [numbers[at] for at in places]) for places in self._places])
+        return tuple([_new(self._kind, of_axis(numbers)) for of_axis in self._of_axis])
+
+
+def _picker(places: list[int]) -> Callable[[tuple[float, ...]], tuple[float, ...]]:
+    """A function that gives the numbers at these places."""
+    if len(places) == 1:
+        return itemgetter(slice(places[0], places[0] + 1))
+    return itemgetter(*places)

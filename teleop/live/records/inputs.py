@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from struct import Struct
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
@@ -63,7 +64,7 @@ def message_fields(scene: Scene, e: str) -> tuple[tuple[str, ...], tuple[str, ..
 
 def flat(several: tuple[Any, ...]) -> list[Any]:
     """The numbers of a message, axis by axis."""
-    return [number for one in several for number in one]
+    return [*chain.from_iterable(several)]
 
 
 class InputWriter:
