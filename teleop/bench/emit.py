@@ -14,7 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from teleop.emit.compiled import build, find_compiler
+from teleop.emit.compiled import build
+from teleop.emit.compiler import find_compiler
 from teleop.emit.files import FLAGS, files
 from teleop.emit.types import DOUBLE, FLOAT
 from teleop.emit.vectors import DrawnInputs

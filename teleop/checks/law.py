@@ -86,7 +86,8 @@ def check_law(law: Any, *, compiled: bool = True, c: bool = False) -> None:
 
 def try_c(law: Any, scene: Scene) -> None:
     """Refuse a law that cannot be printed as C, or whose C has other bits than Python."""
-    from teleop.emit.compiled import compare, find_compiler
+    from teleop.emit.compiled import compare
+    from teleop.emit.compiler import find_compiler
 
     for e in ("m", "s") if scene.slave is not None else ("m",):
         for difference in compare(scene, e, find_compiler()):

@@ -15,6 +15,7 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, ver
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from teleop.emit.compiler import find_compiler
 from teleop.errors import enumerated, number_of
 from teleop.protocol.guard import UNNAMED
 from teleop.scene.library import ROOT
@@ -101,7 +102,8 @@ def findings() -> dict[str, Any]:
     return {
         "bilateral-teleop": __version__, "python": sys.version.split()[0], "platform": sys.platform,
         "packages": packages(),
-        "kernels": {"folder": str(folder), "modules": sum(path.suffix == ".py" for path in files),
+        "compiler": find_compiler(),
+        "kernels": {"folder": str(folder), "modules": sum(path.suffix in (".py", ".so") for path in files),
                     "bytes": sum(path.stat().st_size for path in files),
                     "not_kept": open_to_others(folder) if folder.exists() else None},
         "realtime": rights, "measured": measured, "others": clashes, "governors": policies,
@@ -118,6 +120,7 @@ def text(report: dict[str, Any]) -> str:
         cure = "not installed" + (f": pip install 'bilateral-teleop[{extra}]'" if extra else "")
         rows.append((name, installed or cure))
     kernels = report["kernels"]
+    rows.append(("C compiler", report["compiler"] or "none: install gcc or clang, and sweeps compile in a second"))
     rows.append(("kernels", f"{kernels['modules']} compiled, {kernels['bytes'] / 1e6:.3g} MB in {kernels['folder']}; "
                  "teleop doctor --clear removes them"))
     if kernels["not_kept"]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import struct
 import subprocess
 from collections.abc import Iterator, Sequence
@@ -10,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from teleop.emit.compiler import find_compiler
 from teleop.emit.files import FLAGS, Files, files
 from teleop.emit.types import FLOAT
 from teleop.emit.vectors import Vectors, run_vectors, vectors
@@ -17,13 +17,6 @@ from teleop.errors import Refused
 from teleop.law import law_name
 from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
-
-COMPILERS = ("cc", "gcc", "clang")
-
-
-def find_compiler() -> str | None:
-    """The path of a C compiler; None where there is none."""
-    return next(filter(None, map(shutil.which, COMPILERS)), None)
 
 
 def build(made: Files, folder: Path, compiler: str, flags: Sequence[str] = ("-O1",)) -> Path:

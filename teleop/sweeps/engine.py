@@ -15,7 +15,7 @@ from pickle import UnpicklingError
 from threading import Lock
 from typing import Any
 
-from teleop.errors import Refused, nearest, number_of
+from teleop.errors import Refused, nearest
 from teleop.law import functions_of
 from teleop.scene.parts import varies
 from teleop.scene.scene import Scene
@@ -78,10 +78,10 @@ def choose(engine: str | None, scene: Scene, rows: int, measures: Sequence[Measu
         return "plain", f"about {seconds:.2g} s of plain Python, less than compiling takes"
     enough = f"about {seconds:.3g} s of plain Python"
     if is_installed("vector") and rows >= FEW and (seconds >= LONG or not is_installed("c")):
-        return "vector", f"{enough}, so it is compiled for eight rows at once"
-    for name, by in (("c", "C"), ("scalar", "numba")):
+        return "vector", f"{enough}, so it is compiled, by numba for eight rows at once"
+    for name, by in (("c", "C's compiler"), ("scalar", "numba")):
         if is_installed(name):
-            return name, f"{enough} in {number_of(rows, 'row')}, so it is compiled by way of {by} for one at a time"
+            return name, f"{enough}, so it is compiled, by {by} for a row at a time"
     return "plain", ("there is neither a C compiler nor numba; with gcc, clang or the extra `batch` this would be some "
                      "50 times faster")
 
@@ -89,7 +89,7 @@ def choose(engine: str | None, scene: Scene, rows: int, measures: Sequence[Measu
 def is_installed(engine: str) -> bool:
     """True if this machine has what an engine compiles with."""
     if engine == "c":
-        from teleop.emit.compiled import find_compiler
+        from teleop.emit.compiler import find_compiler
 
         return find_compiler() is not None
     return engine == "plain" or importlib.util.find_spec("numba") is not None

@@ -22,7 +22,6 @@ import re
 import pytest
 
 from teleop import Refused
-from teleop.emit.compiled import COMPILERS
 from teleop.scene.library import built_in_scenes
 from teleop.sweeps.kernels.kernel import NotVectorised
 from tests.engines.cases import CASES
@@ -35,7 +34,7 @@ from tests.engines.engines import (
     plain_rows,
     scenes_of,
 )
-from tests.programs import program
+from tests.programs import COMPILERS, program
 
 TABLE = """
                                         tick  plain  c      scalar  alike  apart  stepped printed

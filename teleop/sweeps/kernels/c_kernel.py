@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from teleop.emit.compiled import find_compiler
+from teleop.emit.compiler import find_compiler
 from teleop.emit.expressions import bare, c_word
 from teleop.emit.primitives import FAULTS
 from teleop.emit.statements import Program, Statements

@@ -172,6 +172,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "__pycache__").mkdir(parents=True)
     (folder / "teleop_kernel_1.py").write_text("x")
     (folder / "__pycache__" / "teleop_kernel_1.loop-1.nbi").write_text("yy")
+    (folder / "teleop_kernel_c_2.so").write_text("zzz")
     (folder / "notes.txt").write_text("mine")
     return folder
 
@@ -180,7 +181,7 @@ def test_it_says_what_is_installed_and_what_is_not(typed: Callable[..., Any], ca
         monkeypatch: pytest.MonkeyPatch) -> None:
     document = json.loads(typed("doctor", "--json").out)
     assert document["packages"]["numpy"] == np.__version__
-    assert document["kernels"] == {"folder": str(cache), "modules": 1, "bytes": 3, "not_kept": None}
+    assert document["kernels"] == {"folder": str(cache), "modules": 2, "bytes": 6, "not_kept": None}
     assert document["measured"] == MEASURED
     assert {"others", "governors", "rmem_max"} <= document.keys()
     assert document["realtime"] == {"scheduler": MEASURED["scheduler"], "memory": MEASURED["memory"], "cure": None}
@@ -188,7 +189,9 @@ def test_it_says_what_is_installed_and_what_is_not(typed: Callable[..., Any], ca
         ["name", "timer", "real time", "loopback", "buffer", "frequency"]
     assert all((one["cure"] is None) == (one["good"] is not False) for one in document["findings"])
     monkeypatch.setattr(command, "version_of", lambda name: None if name == "numba" else "1.2.3")
+    monkeypatch.setattr(command, "find_compiler", lambda: None)
     out = typed("doctor").out
+    assert "C compiler         none: install gcc or clang, and sweeps compile in a second" in out
     assert "not installed: pip install 'bilateral-teleop[batch]'" in out
     assert str(cache) in out
 

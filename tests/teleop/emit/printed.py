@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from teleop.emit.compiled import COMPILERS, build, differences
+from teleop.emit.compiled import build, differences
 from teleop.emit.files import Files, files
 from teleop.emit.vectors import vectors
 from teleop.scene.scene import Scene
-from tests.programs import program
+from tests.programs import COMPILERS, program
 
 __all__ = ["assert_same", "compiled", "differences", "limited"]
 

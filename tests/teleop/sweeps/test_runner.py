@@ -290,7 +290,7 @@ class TestAWrongRequest:
             plan_sweep("soft_tissue", engine="scalar")
         grid = {"delay": [0.1 * i for i in range(100)]}
         for compiler, engine in (("/usr/bin/cc", "c"), (None, "plain")):
-            monkeypatch.setattr("teleop.emit.compiled.find_compiler", lambda compiler=compiler: compiler)
+            monkeypatch.setattr("teleop.emit.compiler.find_compiler", lambda compiler=compiler: compiler)
             assert plan_sweep("satellite", grid).engine == engine
         with pytest.raises(Refused, match=r"a C compiler \(cc, gcc or clang\), and none is found"):
             plan_sweep("soft_tissue", engine="c")

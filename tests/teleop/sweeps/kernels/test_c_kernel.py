@@ -11,14 +11,13 @@ import pytest
 
 from scenarios.virtual_wall import scene as virtual_wall
 from teleop import run
-from teleop.emit.compiled import COMPILERS
 from teleop.scene.scene import Scene
 from teleop.simulation.prepared import prepare
 from teleop.sweeps.engine import kernel_of
 from teleop.sweeps.kernels import c_kernel
 from teleop.sweeps.kernels.kernel import Kernel, figures
 from tests.engines.engines import inputs
-from tests.programs import program
+from tests.programs import COMPILERS, program
 
 
 class Turns(NamedTuple):

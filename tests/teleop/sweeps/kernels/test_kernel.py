@@ -16,7 +16,7 @@ from scenarios.virtual_wall import scene as virtual_wall
 from slave.standard_linear_solid import StandardLinearSolid
 from slave.wall import Wall
 from teleop import At, load_scene, run
-from teleop.emit.compiled import COMPILERS, find_compiler
+from teleop.emit.compiler import find_compiler
 from teleop.laws.direct import Back, Direct, Forth
 from teleop.physics.carried import at_rest, carried, is_carried
 from teleop.physics.plant import MassDamper, free_space
@@ -29,7 +29,7 @@ from teleop.sweeps.kernels.engines import SCALAR, VECTOR, scalar_kernel
 from teleop.sweeps.kernels.kernel import kernel_lines
 from teleop.sweeps.runner import plan_sweep
 from tests.engines.engines import kernel_rows
-from tests.programs import program
+from tests.programs import COMPILERS, program
 
 
 def test_figures_that_are_not_asked_for_have_no_lines() -> None:
