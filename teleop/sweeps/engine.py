@@ -95,6 +95,11 @@ def is_installed(engine: str) -> bool:
     return engine == "plain" or importlib.util.find_spec("numba") is not None
 
 
+def compiles() -> bool:
+    """True if this machine compiles rows at all."""
+    return is_installed("c") or is_installed("scalar")
+
+
 def plainer(engine: str) -> str:
     """The engine that takes over what another has no kernel for."""
     behind = {"vector": ("c", "scalar"), "c": ("scalar",)}

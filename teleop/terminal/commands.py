@@ -202,7 +202,7 @@ def _advise(added: ArgumentParser) -> None:
                        "hard_wall, a reach into a wall that is pressed then")
     _set_and_link(added)
     added.add_argument("--budget", metavar="N", type=whole, help="most rows of the search, shared by the laws; left "
-                       "out: 12,000 for each law, 60 without the extra `batch`")
+                       "out: 12,000 for each law, 60 where neither a C compiler nor the extra `batch` is there")
     added.add_argument("--laws", metavar="LIST", help="laws that are tried, joined by commas; left out: all with two "
                        "ends")
     added.add_argument("--objective", metavar="NAME", default="balanced", help="as `teleop tune` has it; left out: "

@@ -7,7 +7,6 @@ from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from csv import writer
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -31,6 +30,7 @@ from teleop.studies.tune.objective import FREE, OBJECTIVES, SCENE, YIELDS, Score
 from teleop.studies.tune.report import body as tuned_body
 from teleop.studies.tune.report import csv_cell, figure, linear_text
 from teleop.studies.tune.search import Tuned
+from teleop.sweeps.engine import compiles
 from teleop.sweeps.grid import split_list
 from teleop.sweeps.runner import cores
 from teleop.sweeps.store import DEFINITION
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 POINT = 3  # rows of one point at most
-ROWS, PLAIN_ROWS = 12_000, 60  # of each law where none are asked for: compiled, and without the extra `batch`
+ROWS, PLAIN_ROWS = 12_000, 60  # of each law where none are asked for: compiled, and where nothing compiles
 WORSE = 1.5  # times the best law's term, and `MORE` above it: a term that counts against a law
 MORE = 0.1
 HALF = 0.5
@@ -68,8 +68,7 @@ def find(args: Namespace) -> Task:
     for law in laws:
         check_text("law", law, {})
     knobs = _knobs(args)
-    compiled = find_spec("numba") is not None
-    each = args.budget // len(laws) if args.budget is not None else ROWS if compiled else PLAIN_ROWS
+    each = args.budget // len(laws) if args.budget is not None else ROWS if compiles() else PLAIN_ROWS
     if each < POINT:
         raise Refused(f"--budget {args.budget} leaves each of {number_of(len(laws), 'law')} {number_of(each, 'row')}, "
                       f"and one point of the search takes up to {POINT}: the scene, free space and a stiffer wall; "
