@@ -28,10 +28,12 @@ class Calls(CExpressions):
         if isinstance(node.func, ast.Attribute) and node.func.attr == "_replace":
             return self.replaced(self.evaluate(node.func.value), node)
         function = self.evaluate(node.func)
-        if function in (Known(all), Known(any)) and not isinstance(node.args[0], ast.GeneratorExp):
-            values = [self._bool(each) for each in self.parts(self.evaluate(node.args[0]))]
-            return reduce(lambda a, b: self.both(a, b, "&" if function == Known(all) else "|"),
-                          values or [Known(function == Known(all))])
+        if function in (Known(all), Known(any)):
+            is_any = function == Known(any)
+            values = [*map(self._bool, self.parts(self.evaluate(node.args[0])))] or [Known(not is_any)]
+            if isinstance(node.args[0], ast.GeneratorExp):
+                return self.either(values, decides=is_any)
+            return reduce(lambda a, b: self.both(a, b, "|" if is_any else "&"), values)
         arguments = [one for each in node.args for one in self.several(each)]
         keywords = {str(each.arg): self.evaluate(each.value) for each in node.keywords}
         if isinstance(function, MethodOf):
@@ -112,12 +114,6 @@ class Calls(CExpressions):
 
     def _reversed(self, value: Value) -> Value:
         return TupleParts(self.parts(value)[::-1])
-
-    def _all(self, value: Value) -> Value:
-        return self.either([*map(self._bool, self.parts(value))] or [Known(True)], decides=False)
-
-    def _any(self, value: Value) -> Value:
-        return self.either([*map(self._bool, self.parts(value))] or [Known(False)], decides=True)
 
     def _abs(self, value: Value) -> Value:
         printed = self.whole(value)
