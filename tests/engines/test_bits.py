@@ -50,8 +50,8 @@ forces that diverge                     f     X      X      f       f      f    
 forces that diverge, constant delays    f     f      f      f       f      f      f       f
 limits, devices and a watchdog          X     X      X      f       f      x      X       X
 ticks left out                          X     X      X      f       x      f      -       f
-a one-port                              X     X      X      X       X      f      -       f
-a user's law, a clutch and gaps         X     X      X      x       f      X      X       X
+a one-port                              X     X      X      X       X      X      -       f
+a user's law, a clutch and gaps         X     X      X      x       f      x      X       X
 a user's law in two axes                f     f      f      f       f      f      f       f
 a clutch and a small slew limit         f     f      f      f       f             f       f
 a deadband                              X     X      X      f       f      f      -       f
@@ -78,7 +78,7 @@ CELLS = {(line[:40].strip(), engine): line[place:place + 1].strip()
 COMPILED = ("canonical", "recorded_reach", "encoder_wall", "virtual_coupling", "jittery_wan")
 CELLS |= {(name, engine): "f" for name in built_in_scenes() if name != "lte"
           for engine in ("tick", "plain", "c", "printed")}
-CELLS |= {(name, "scalar"): "f" for name in COMPILED}
+CELLS |= {(name, "scalar"): "f" for name in COMPILED} | {("beating_heart", "scalar"): "x"}  # a bound part
 RUN = [pytest.param(name, engine, id=f"{engine}-{name.replace(' ', '_')}", marks=[pytest.mark.full] * (cell == "f"))
        for (name, engine), cell in CELLS.items() if cell in ("X", "x", "f")]
 
