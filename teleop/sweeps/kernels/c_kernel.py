@@ -34,7 +34,7 @@ from teleop.simulation.tick import loop
 from teleop.stages import memory
 from teleop.storage.files import replacing
 from teleop.sweeps.kernels.cache_folder import folder, made_private, open_to_others, tell_once
-from teleop.sweeps.kernels.compiled import pieces_of, text_of
+from teleop.sweeps.kernels.compiled import check_amount, pieces_of, text_of
 from teleop.sweeps.kernels.functions import digest, sources
 from teleop.sweeps.kernels.kernel import (
     Kernel,
@@ -213,7 +213,7 @@ class FlatNumbers:
 
 
 def kernel_text(scene: Scene, bodies: Bodies, measures: Sequence[str], made: Lines) -> str:
-    """The text of a kernel. Raises `NotPrinted` where something in it has no line in C."""
+    """The text of a kernel. Raises `NotPrinted` or `NotCompiled` where something in it has no line in C."""
     program = Program("k_", powers=True)
     printer = KernelPrinter(program, made.names(functions_of_kernel(scene, bodies)))
     flat, numbers, known = FlatNumbers(program.types), [], dict[str, Value]()
@@ -222,6 +222,7 @@ def kernel_text(scene: Scene, bodies: Bodies, measures: Sequence[str], made: Lin
         text = flat.initial(value, kind)
         known[name] = Known(value) if kind == NOTHING else Printed(kind, name, fixed=True)
         numbers += [f"    const {program.types.c(kind)} {name} = {text};"] * (kind != NOTHING)
+    check_amount(flat.reals)
     axes = range(scene.axes if scene.reference is not None else 0)
     known |= {"play_m": InMemory(INT, "play_m"), "play_s": InMemory(INT, "play_s"),
               "ref": TupleParts(tuple([InMemory(DOUBLE, f"path_{i}") for i in axes])),

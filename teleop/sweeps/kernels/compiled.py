@@ -87,6 +87,12 @@ class CompiledEngine(NamedTuple):
     part_maker: Callable[[str], str]  # the name of the function that makes the part of a name from its place
 
 
+def check_amount(numbers: int) -> None:
+    """Refuse a row of very many numbers, a long line of late forces, say: compiling takes minutes."""
+    if numbers > MOST_NUMBERS:
+        raise NotCompiled(f"it has {numbers} numbers, above {MOST_NUMBERS}, which are too many to be laid out")
+
+
 def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: CompiledEngine, *, keep: bool = True
            ) -> ModuleType:
     """The loaded module of a kernel. Raises `NotCompiled` or an error of numba's where a part is not made for that.
@@ -127,8 +133,7 @@ def module_text(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: C
         return word
 
     flat, width = leaves(tree_of(scene, bodies)), engine.width
-    if len(flat.reals) > MOST_NUMBERS:  # a long line of late forces, say: compiling takes minutes
-        raise NotCompiled(f"it has {len(flat.reals)} numbers, above {MOST_NUMBERS}, which are too many to be laid out")
+    check_amount(len(flat.reals))
     tree = expression(flat.shape, engine.real, class_name)
     axes = range(scene.axes if scene.reference is not None else 0)
     words = {
