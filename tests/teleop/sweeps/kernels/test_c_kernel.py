@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import pytest
 
 from scenarios.virtual_wall import scene as virtual_wall
-from teleop import run
+from teleop import Device, run
 from teleop.scene.scene import Scene
 from teleop.simulation.prepared import prepare
 from teleop.sweeps.engine import kernel_of
 from teleop.sweeps.kernels import c_kernel
-from teleop.sweeps.kernels.kernel import Kernel, figures
+from teleop.sweeps.kernels.kernel import Kernel, NotCompiled, figures
 from tests.engines.engines import inputs
 from tests.programs import COMPILERS, program
 
@@ -76,6 +76,13 @@ def test_what_has_no_line_in_c_runs_by_another_engine_which_says_why() -> None:
     assert kernel.engine in ("scalar", "plain")
     assert "`hypot` is rounded otherwise" in kernel.why
     assert row[2]["f_m_max"] == run(of).metrics["f_m_max"]
+
+
+def test_a_row_of_very_many_numbers_kept_the_compiler_busy_for_a_minute() -> None:
+    program(*COMPILERS)
+    of = replace(virtual_wall(b=0.81), device_m=Device(delay=3000))
+    with pytest.raises(NotCompiled, match="numbers, above 500, which are too many"):
+        c_kernel.c_kernel(of, prepare(of).bodies, ("f_m_max",))
 
 
 def test_without_a_compiler_a_row_runs_by_another_engine(monkeypatch: pytest.MonkeyPatch) -> None:
