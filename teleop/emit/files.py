@@ -235,7 +235,8 @@ static int differ(int i, double a, double b)
     }
     return !isfinite(a);
 }""",
-    """printf("%ld of %ld ticks fail; the force is off by up to %.2g N of %.3g N\\n", bad, n, off, greatest);
+    """printf("%ld of %ld ticks fail; the force is off by up to %.2g N, %.1g of the greatest, %.3g N\\n", bad, n, off,
+        greatest > 0 ? off / greatest : 0, greatest);
     return bad > 0 || !(off <= 0.001 * greatest);""")
 
 

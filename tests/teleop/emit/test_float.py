@@ -49,7 +49,7 @@ def test_over_a_run_a_float_is_near_double_or_refused_and_double_has_every_bit(l
 
 def test_an_error_beyond_a_thousandth_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     program(*COMPILERS)
-    assert re.fullmatch(r"Over a run of the canonical scene: .* off by up to .*e-\d\d N of [\d.]+ N\.",
+    assert re.fullmatch(r"Over a run of the canonical scene: .* by up to .* N, \de-0[67] of the greatest, [\d.]+ N\.",
                         float_error(scene_with("p_d"), "m"))
     real_number: Any = Types.real_number
     monkeypatch.setattr(Types, "real_number", lambda self, value: real_number(self, float(f"{value:.2g}") * 1.01))
