@@ -395,7 +395,7 @@ class TestTheCommand:
         assert number("frequency", told["frequency"], above=0.0) == pytest.approx(3.14, abs=0.01)
 
     def test_finds_a_critical_value_in_virtual_time(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(report, "PLACES", 4)  # and none so near the edge that its run is long
+        monkeypatch.setattr(report, "PLACES_IN_TIME", 4)  # and none so near the edge that its run is long
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--time", "--critical", "delay",
                        "--range", "0.005:0.05", "--tol", "4e-3", "--json")
         assert json.loads(answer.out)["critical"]["value"] == pytest.approx(0.0145, abs=2e-3)
