@@ -70,9 +70,9 @@ class Program:
     def inlined(self, function: FunctionType, values: list[Value], caller: CExpressions) -> Value | None:
         """Answer of a function of one line, whose last argument has a star, in the place of its call; else None."""
         inner = Statements(self, function)
-        body = inner.definition()[0]
-        line = body[-1]
-        if len(body) > 2 or not isinstance(line, ast.Return) or line.value is None:
+        *before, line = inner.definition()[0]
+        only = not before or (len(before) == 1 and ast.get_docstring(ast.Module([*before], [])) is not None)
+        if not only or not isinstance(line, ast.Return) or line.value is None:
             return None
         inner.scope = dict(zip(function.__code__.co_varnames, values, strict=False))
         answer = inner.made_of(inner.evaluate(line.value), *values)

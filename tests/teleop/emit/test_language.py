@@ -29,6 +29,9 @@ def signed(x, sign=1):
     if x < 0.0:
         sign = -1.5
     return sign * x
+def mean(*sizes):
+    share = 0.5
+    return share * (sizes[0] + sizes[1])
 @dataclass(frozen=True, kw_only=True)
 class Tried:
     K: float = 100.0
@@ -65,6 +68,7 @@ ALLOWED = {
     "numbers of them": "fault = i1; fault_ = INFINITY; f = fault + 2.0 * fault_; n_i1 = f",
     "whole numbers, whose 0 has no sign":
         "f = f + copysign(1.0, -floor(at.v)) + copysign(2.0, int(at.v) * -1) + copysign(4.0, floor(at.v) % -3)",
+    "a star, and lines of its own": "f = f + mean(at.x, at.v)",
     "arguments that are set under an `if`": "f = f + signed(at.v) + signed(at.x, at.v > 0.0)",
     "a loop's name that is set under an `if`":
         "for k in range(3):\n            if at.v > 0.0: k = 7\n            f = f + k * at.x",
@@ -113,15 +117,15 @@ def test_what_may_not_is_refused_with_file_line_and_what_to_write(tmp_path: Path
         with pytest.raises(Refused) as refused:
             files(scene_of(line, tmp_path), "m", "m")
         text = str(refused.value)
-        assert f"tried.py:29: Tried.master: {why}" in text, text
+        assert f"tried.py:32: Tried.master: {why}" in text, text
         assert "\n" not in text
 
 
 UNDER_AN_IF = {  # each was another number in C than in Python where the `if` was not taken
-    "m = None\n        if f > 0.0: m = f\n        f = 9.0 if m is None else m": "30: Tried.master: m is None, which no",
-    "t = (f, f)\n        if f > 0.0: t = ()\n        for e in t: f = f + e": "30: Tried.master: t is (), which no",
+    "m = None\n        if f > 0.0: m = f\n        f = 9.0 if m is None else m": "33: Tried.master: m is None, which no",
+    "t = (f, f)\n        if f > 0.0: t = ()\n        for e in t: f = f + e": "33: Tried.master: t is (), which no",
     "k = 5\n        if f > 0.0:\n            for k in range(3): f = f + k\n        f = f + k":
-        "32: Tried.master: k is not set on every way to here",
+        "35: Tried.master: k is not set on every way to here",
 }
 
 

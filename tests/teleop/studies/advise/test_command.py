@@ -86,7 +86,7 @@ STOPPED = [*WALL, "--set", "duration=1.6", "--laws", "wave,direct", "--budget", 
 
 @pytest.mark.live
 @pytest.mark.parametrize("signal_", [
-    signal.SIGINT, *(pytest.param(each, marks=pytest.mark.full) for each in (signal.SIGTERM, signal.SIGKILL))])
+    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.full), signal.SIGKILL])
 def test_an_advice_that_was_stopped_by_a_signal_began_anew(
         signal_: signal.Signals, process: Any, ended: Any, tmp_path: Path, undisturbed: Path) -> None:
     running = process("-m", "teleop", *STOPPED, "--workers", "2", "--out", "a")
