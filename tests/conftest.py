@@ -43,6 +43,7 @@ STAND_INS = "tests/live/page/"
 REAL = ("test_real.py",)  # of these files there: with the ends of a run
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # or numpy starts threads that spin: half of what its import takes
 sys.dont_write_bytecode = False
 settings.register_profile(
     "suite", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, database=None,
@@ -73,9 +74,13 @@ def pytest_collection(session: pytest.Session) -> None:
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what can start a program; skip what has to be asked for; refuse a name that each worker has otherwise."""
+    """Mark what can start a program; skip what has to be asked for; refuse a name that each worker has otherwise.
+
+    In a run of the whole suite what would be skipped is not taken up at all: each worker set up 2,200 such tests.
+    """
     markers = str(config.getoption("-m"))
     arguments = config.invocation_params.args
+    skipped: list[pytest.Item] = []
     for item in items:
         if uses_programs(item):
             item.add_marker("program")
@@ -85,6 +90,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             is_named = name == "house" and any(item.path.name in str(argument) for argument in arguments)
             if item.get_closest_marker(name) and name not in markers and not is_named:  # a folder is a keyword too
                 item.add_marker(pytest.mark.skip(reason=f"{why}: pytest -m {name}"))
+                skipped.append(item)
+    if skipped and config.args == config.getini("testpaths"):
+        left_out = set(skipped)
+        items[:] = [item for item in items if item not in left_out]
+        config.hook.pytest_deselected(items=[*left_out])
 
 
 class ByFile(LoadScopeScheduling):  # type: ignore[misc]  # it has no types

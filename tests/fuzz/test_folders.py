@@ -23,7 +23,7 @@ from teleop.live.records.merge import merge
 from teleop.scene.library import ROOT
 from tests.live.conftest import Pair
 
-EACH = 40  # cases of a slice; the long form has thousands
+EACH = 25  # cases of a slice; the long form has thousands
 LONG = 10_000
 COMPARED = """
 seeds = 1

@@ -282,6 +282,7 @@ def test_an_end_is_told_its_own_role_and_no_other(in_c: InC) -> None:
         2, "type: end slave ADDRESS PORT SECONDS [LOG], the address as in 127.0.0.1\n")
 
 
+@pytest.mark.full
 def test_ends_of_two_axes_exchange_waves_and_what_they_come_to(command: Start, in_c: InC, tmp_path: Path) -> None:
     scene = ["bench_top", "--set", "axes=2", "--set", "duration=600"]
     theirs = in_c.start("slave", 0, scene, "c.csv")

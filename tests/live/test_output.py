@@ -284,8 +284,8 @@ def test_two_ends_whose_output_nothing_reads_run_to_their_end(
 
 
 @pytest.mark.parametrize(("unread", "form"), [
-    ("gone", []), ("full", ["--json"]), *[pytest.param(*each, marks=pytest.mark.full) for each in (
-        ("full", []), ("gone", ["--json"]))]], indirect=["unread"])
+    ("gone", []), *[pytest.param(*each, marks=pytest.mark.full) for each in (
+        ("full", ["--json"]), ("full", []), ("gone", ["--json"]))]], indirect=["unread"])
 def test_a_demo_whose_output_nothing_reads_runs_to_its_end(
     form: list[str], start: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:

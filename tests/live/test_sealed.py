@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import signal
-import socket
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from pathlib import Path
-from select import select
-from threading import Event, Thread
 from typing import Any
 
-import numpy as np
 import pytest
 
 from tests.live.conftest import share_received, summary
 
 pytest.importorskip("OpenSSL")
-from teleop.protocol.secure.association import Association
-from teleop.protocol.secure.keys import keygen, load_key  # (with the extra alone)
+from teleop.protocol.secure.keys import keygen  # (with the extra alone)
 
 pytestmark = pytest.mark.live
 SCENE = ["hard_wall", "--set", "duration=0.5", "--json"]
@@ -56,22 +48,6 @@ def test_two_ends_with_keys_run_sealed(
         assert "PRIVATE" not in (tmp_path / folder / "summary.json").read_text()
     assert share_received(tmp_path / "m", tmp_path / "s") > 0.8
     assert share_received(tmp_path / "s", tmp_path / "m") > 0.8
-
-
-def test_they_meet_through_a_channel_that_loses_doubles_and_reorders(
-    command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
-) -> None:
-    scene = [*SCENE, "--link", "delay(0.005) | uniform(0.01) | bernoulli(0.3) | duplicate(0.1, after=0.002)"]
-    slave = command("slave", *scene, "--listen", "127.0.0.1:0", *has(keys, "slave", "master"),
-                    "--out", str(tmp_path / "s"))
-    channel = command("channel", *scene, "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{slave.port()}")
-    master = command("master", *scene, "--peer", f"127.0.0.1:{channel.port()}", *has(keys, "master", "slave"),
-                     "--out", str(tmp_path / "m"), "--wait", "25")
-    for end in (master, slave):
-        code, out, err = end.end()
-        assert code == 0, (out, err)
-    assert 0.5 < share_received(tmp_path / "m", tmp_path / "s") < 0.9
-    assert summary(tmp_path / "m")["master"]["sealed"] is True
 
 
 @pytest.mark.parametrize(("called", "channels"), [
@@ -120,118 +96,3 @@ def test_what_goes_in_the_open_all_the_same_says_so_loudly(command: Callable[...
     assert "INSECURE" in err
     assert any("--insecure" in note for note in summary(tmp_path / "s")["notes"])
     assert not any("--insecure" in note for note in summary(tmp_path / "m")["notes"])
-
-
-def test_a_sender_without_the_key_does_not_keep_the_pinned_master_out(
-    command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
-) -> None:
-    """2,000 datagrams a second from 64 ports, hellos with good cookies most of them, at 0.1 s of round trip."""
-    scene = [*SCENE, "--link", "delay(0.05)"]
-    slave = command("slave", *scene, "--listen", "127.0.0.1:0", *has(keys, "slave", "master"),
-                    "--out", str(tmp_path / "s"))
-    port = slave.port()
-    channel = command("channel", *scene, "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}")
-    with flooded(port, keys) as thrown:
-        master = command("master", *scene, "--peer", f"127.0.0.1:{channel.port()}", *has(keys, "master", "slave"),
-                         "--out", str(tmp_path / "m"))
-        for end in (master, slave):
-            code, out, err = end.end()
-            assert code == 0, (out, err)
-    assert thrown[0] > 0
-    assert summary(tmp_path / "s")["packets"]["fwd"]["received"] > 100
-
-
-def test_an_observer_whose_copies_come_first_draws_nothing_to_itself_even_after_an_outage(
-    command: Callable[..., Any], keys: dict[str, tuple[str, str]], tmp_path: Path
-) -> None:
-    """It kept two ends from meeting for as long as it copied, and after 1.4 s of silence for good."""
-    scene = ["hard_wall", "--set", "duration=600", "--link", "none", "--json"]
-    slave = command("slave", *scene, "--listen", "127.0.0.1:0", *has(keys, "slave", "master"),
-                    "--out", str(tmp_path / "s"))
-    with observer(slave.port()) as (at, silent):
-        master = command("master", *scene, "--peer", f"127.0.0.1:{at}", *has(keys, "master", "slave"),
-                         "--out", str(tmp_path / "m"))
-        ends = {"m": master, "s": slave}
-        for end in ends.values():
-            end.live(lambda numbers: numbers["gain"] == 1.0 and numbers["delay"] is not None)
-        silent.set()
-        let_go = {e: end.live(lambda numbers: numbers["gain"] == 0.0)["k"] for e, end in ends.items()}
-        time.sleep(1.4)
-        silent.clear()
-        for end in ends.values():
-            end.live(lambda numbers: numbers["gain"] == 1.0)
-        master.signal(signal.SIGTERM)
-        for end in ends.values():
-            code, out, err = end.end()
-            assert code == 0, (out, err)
-    for e, k in let_go.items():
-        with np.load(tmp_path / e / "trace.npz") as trace:
-            assert trace[f"seq_{e}"][trace["t"] > k * 1e-3].max() > k, "what was sent after the outage is played"
-
-
-@contextmanager
-def observer(slave: int) -> Iterator[tuple[int, Event]]:
-    """A network between two ends, in which an observer's copy of each datagram comes before it, from another port.
-
-    What is sent to the observer's own ports is kept. The master's port to ask, and an event: set, nothing passes.
-    """
-    near, far, near_copy, far_copy = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(4))
-    silent, over = Event(), Event()
-    for sock in (near, far, near_copy, far_copy):
-        sock.bind(("127.0.0.1", 0))
-    home: list[Any] = [None]
-
-    def pass_on() -> None:
-        while not over.is_set():
-            for sock in select([near, far], [], [], 0.05)[0]:
-                data, sender = sock.recvfrom(4096)
-                if sock is near:
-                    home[0] = sender
-                copy, own, to = (far_copy, far, ("127.0.0.1", slave)) if sock is near else (near_copy, near, home[0])
-                if not silent.is_set() and to is not None:
-                    copy.sendto(data, to)
-                    own.sendto(data, to)
-
-    thread = Thread(target=pass_on)
-    thread.start()
-    try:
-        yield near.getsockname()[1], silent
-    finally:
-        over.set()
-        thread.join()
-        for sock in (near, far, near_copy, far_copy):
-            sock.close()
-
-
-@contextmanager
-def flooded(port: int, keys: dict[str, tuple[str, str]]) -> Iterator[list[int]]:
-    """An end that listens on loopback, while 64 ports ask it for cookies and bring them back; how many they sent."""
-    stranger, thrown, over = load_key(keys["stranger"][0]), [0], Event()
-
-    def fire() -> None:
-        sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(64)]
-        says: list[bytes] = []
-        for sock in sockets:
-            sock.connect(("127.0.0.1", port))
-            sock.settimeout(1.0)
-            association = Association.towards(stranger, keys["slave"][1], 0)
-            (hello,) = association.begin(0)
-            sock.send(hello)
-            (says_again,) = association.receive(sock.recv(2048), 0)[1]
-            says.append(says_again)
-        while not over.wait(0.01):
-            for i in range(20):
-                at = (thrown[0] + i) % 64
-                with suppress(OSError):
-                    sockets[at].send(says[at])
-            thrown[0] += 20
-        for sock in sockets:
-            sock.close()
-
-    thread = Thread(target=fire)
-    thread.start()
-    try:
-        yield thrown
-    finally:
-        over.set()
-        thread.join()

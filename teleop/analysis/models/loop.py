@@ -165,7 +165,17 @@ class Loop:
         return sorted(crossings)
 
     def log_at(self, t: float, branch: int) -> tuple[complex, complex]:
-        """The exponent and log l_j, phase unwrapped, at any parameter."""
+        """The exponent and log l_j, phase unwrapped, at any parameter; kept, for searches halve the same intervals."""
+        found = self._logs.get((t, branch))
+        if found is None:
+            found = self._logs[t, branch] = self._log_at(t, branch)
+        return found
+
+    @cached_property
+    def _logs(self) -> dict[tuple[float, int], tuple[complex, complex]]:
+        return {}
+
+    def _log_at(self, t: float, branch: int) -> tuple[complex, complex]:
         times, _, logs = self.samples
         i = min(max(int(np.searchsorted(times, t)), 1), len(times) - 1)
         part = (t - times[i - 1]) / (times[i] - times[i - 1])

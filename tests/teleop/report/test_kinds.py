@@ -105,7 +105,8 @@ class TestAStudy:
             *of("s").texts}
         typed("report", "s", "--rows", "3").assert_refused("what teleop stability found", "leave it out")
 
-    def test_of_an_analysis_had_no_figure(self, typed: Typed) -> None:
+    def test_of_an_analysis_had_no_figure(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("teleop.analysis.stability.report.PLACES", 4)
         typed("passivity", "soft_tissue", "--set", "law=direct", "--out", "two")
         typed("passivity", "virtual_wall", "--out", "one")
         typed("stability", "soft_tissue", "--set", "law=direct", "--set", "delay=0.005", "--critical", "k_e", "--range",

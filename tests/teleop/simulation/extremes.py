@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from scipy.stats import qmc
 
 from channel.bernoulli import Bernoulli
 from channel.blackout import Blackout
@@ -105,6 +104,8 @@ def hypercube(
     ranges: dict[str, Range], choices: dict[str, tuple[Any, ...]], pairs: Iterable[tuple[str, str]], spread: int
 ) -> list[dict[str, Any]]:
     """`spread` rows with nothing pinned, then one for each of the four corners of each of the pairs of ranges."""
+    from scipy.stats import qmc
+
     corners = list(product((0.0, 1.0), repeat=2))
     pins: list[dict[str, float]] = [{}] * spread
     pins += [dict(zip(pair, ends, strict=True)) for pair in pairs for ends in corners]

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from distributed import Client
 
 from teleop import Refused, sweep
 from teleop.scene.library import ROOT
@@ -65,6 +64,8 @@ class Rig:
         self.scheduler = self.start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(told))
         until(lambda: told.is_file() and told.read_text().endswith("}"))
         self.address: str = json.loads(told.read_text())["address"]
+        from distributed import Client
+
         self.client = Client(self.address, set_as_default=False)
 
     def start(self, role: str, *words: str, **env: str) -> subprocess.Popen[bytes]:

@@ -78,6 +78,7 @@ def test_no_text_of_a_figure_lies_over_another(words: str, typed: Any, monkeypat
     """The title of `passivity` covered its panels."""
     drawn = []
     monkeypatch.setattr(teleop.terminal.plotting, "render", lambda figure, *_: drawn.append(figure) or b"")
+    monkeypatch.setattr("teleop.analysis.stability.report.PLACES", 4)
     if words.startswith("precision"):
         pytest.importorskip("mpmath")
     answer = typed(*words.split(), "--plot")

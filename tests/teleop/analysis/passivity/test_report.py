@@ -144,7 +144,7 @@ class TestCommand:
 
     def test_files_and_figure(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         pytest.importorskip("matplotlib")
-        for scene, *more in (("virtual_coupling", "--plot"), ("soft_tissue",)):
+        for scene, *more in (("virtual_wall", "--plot"), ("virtual_coupling",), ("soft_tissue",)):
             out = tmp_path / scene
             assert main(["passivity", scene, "--out", str(out), "--json", *more]) == 0
             assert json.loads(capsys.readouterr().out)["path"] == str(out)
@@ -152,4 +152,4 @@ class TestCommand:
             assert {path.name for path in out.iterdir()} == {"summary.json", "curves.npz"} | drawn
             with np.load(out / "curves.npz") as curves:
                 assert all(np.isfinite(curves[key]).all() for key in curves if not key.endswith("eta"))
-        assert (tmp_path / "virtual_coupling" / "passivity.png").read_bytes()[:4] == b"\x89PNG"
+        assert (tmp_path / "virtual_wall" / "passivity.png").read_bytes()[:4] == b"\x89PNG"

@@ -114,10 +114,10 @@ class TestEdge:
 
 class TestRegion:
     def test_what_is_passive_is_stable_in_any_hand(self) -> None:
-        for d in (0, 1, 7):
+        for d in (0, 7):
+            corners = np.array(passive_region(handle(delay=d)).corners)
             for hand in (None, finger(), finger(0.5)):
                 scene = handle(hand=hand, delay=d)
-                corners = np.array(passive_region(scene).corners)
                 assert is_stable(loop(scene, hand=True), 0.999 * corners[:, 0], 0.999 * corners[:, 1]).all(), (d, hand)
 
     def test_with_a_shunt_too_and_four_times_as_far_out_it_is_not(self) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import cont2discrete, lfilter
 
 from teleop.stages.velocity.low_pass import LowPass
 from tests.teleop.stages.velocity.signals import T, driven, floored, sine, velocities
@@ -22,6 +21,8 @@ def rate(cutoff: float, dt: float = T) -> float:
 
 @pytest.mark.parametrize("cutoff", [1.0, 30.0, 500.0])
 def test_it_is_the_stated_transfer_function(cutoff: float) -> None:
+    from scipy.signal import lfilter
+
     xs = floored(sine(2000)[0], 1e-5)
     r = rate(cutoff)
     filtered = lfilter([r / T, -r / T], [1.0, r - 1.0], xs)  # at rest at 0, where the sine begins
@@ -31,6 +32,8 @@ def test_it_is_the_stated_transfer_function(cutoff: float) -> None:
 @pytest.mark.parametrize("cutoff", [1.0, 30.0, 500.0])
 def test_the_filter_is_the_exact_one_for_a_held_difference(cutoff: float) -> None:
     """Against the zero-order-hold discretisation of omega/(s + omega)."""
+    from scipy.signal import cont2discrete
+
     omega = 2.0 * pi * cutoff
     (_, gain), pole, _ = (np.ravel(part) for part in cont2discrete(([omega], [1.0, omega]), T, method="zoh"))
     estimator = LowPass(cutoff=cutoff)
