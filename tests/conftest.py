@@ -46,8 +46,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # or numpy starts threads that spin: half of what its import takes
 sys.dont_write_bytecode = False
 settings.register_profile(
-    "suite", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, database=None,
-    print_blob=True,
+    "suite", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True,
+    database=None, print_blob=True,
 )
 settings.load_profile("suite")
 settings.register_profile(  # for mutants, of which it matters that an example is found, and not the least one

@@ -25,7 +25,7 @@ from tests.scenarios.random_links import bases, drawn, held, integrated, late, m
 
 LOW = -1e-9  # J: below is more than rounding
 TICKS = 600
-FEW, MANY = 120, 10_000
+FEW, MANY = 80, 10_000
 AT_ONCE = 500  # rows whose schedules are in memory together
 FIGURES = ("E_link_min", "E_link_end", "fresh_fwd", "fresh_bwd", "f_env_max")
 DRAWN = EFFECTS.keys() - {"recorded"}  # which is a folder of a live run: tests/channel/test_recorded.py
@@ -120,9 +120,9 @@ def test_the_smallest_is_that_of_the_whole_record_and_no_way_gave_more_than_its_
 
 def test_over_the_same_links_messages_that_are_held_in_the_gaps_make_energy(few: Drawn) -> None:
     """What nobody claims: the links and motions are such that a wave played twice shows."""
-    rows = [(n, held(knobs), seed) for n, knobs, seed in few.rows[:100]]
+    rows = [(n, held(knobs), seed) for n, knobs, seed in few.rows[:60]]
     made = [row["E_link_min"] for row in active(swept(rows))]
-    assert len(made) >= 10
+    assert len(made) >= 6
     assert min(made) < -0.01
 
 
