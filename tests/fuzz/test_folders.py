@@ -90,7 +90,7 @@ def opened(place: Path, first: int, count: int, draw_each: int, tmp_path: Path) 
     done = subprocess.run(
         [sys.executable, "-c", code, str(own), str(first), str(count), str(draw_each)],
         capture_output=True, text=True, check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "MPLCONFIGDIR": str(tmp_path), "OPENBLAS_NUM_THREADS": "1"})
+        env={**os.environ, "PYTHONPATH": str(ROOT)})
     lines = done.stdout.splitlines()
     assert lines, done.stderr
     assert lines.pop() == "done", (lines[-3:], done.stderr[-2000:], done.returncode)

@@ -276,8 +276,8 @@ TAKES = {  # how a driver takes SIGTERM
 
 @pytest.mark.parametrize(("how", "at"), [
     ("by blocking it", "opening"), *[pytest.param(how, at, marks=FULL) for how, at in (
-        ("below Python", "a tick"), ("with a handler", "opening"), ("with its default", "opening"), ("below Python", "the first reading"),
-        ("with a handler", "a tick"))],
+        ("below Python", "a tick"), ("with a handler", "opening"), ("with its default", "opening"),
+        ("below Python", "the first reading"), ("with a handler", "a tick"))],
 ])
 def test_a_driver_that_takes_signals_for_itself_leaves_no_force(
     how: str, at: str, command: Make, tmp_path: Path

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from channel import Bernoulli, Delay, UniformJitter
-from teleop import Deadband, Refused, Scene, load_scene, run, sweep
+from teleop import Deadband, Refused, Scene, load_scene, run
 from teleop.analysis.models.linear import refuse_nonlinear_parts
 from teleop.scene.playout import read_playout
 from teleop.simulation.notes import facts_of
@@ -19,7 +19,6 @@ from teleop.simulation.plan import link_plans
 from tests.fakes import law_of
 
 ENDS = ("master", "slave")
-
 
 
 class Number(NamedTuple):
@@ -111,24 +110,6 @@ def test_ends_that_leave_out_ticks_send_nothing_at_them() -> None:
     counts = result.packets["fwd"]
     assert counts.sent + counts.saved < 0.85 * result.ticks
     assert counts.sent == counts.received + counts.lost + counts.in_flight
-
-
-def test_every_engine_gives_its_rows_to_the_bit() -> None:
-    pytest.importorskip("numba")
-    metrics = ["x_err_rms", "f_m_max", "sent_fwd", "sent_bwd"]
-    tables = [sweep("free_motion", {"deadband": [0.05, 0.2], "delay": [0.0, 0.02]}, engine=engine, metrics=metrics,
-                    fixed={"law": "wave", "duration": 0.4, "energy": False}) for engine in ("plain", "vector")]
-    for name in metrics:
-        assert np.array_equal(tables[0][name], tables[1][name]), name
-    alone = run(load_scene("free_motion", law="wave", duration=0.4, deadband=0.2, delay=0.02)).metrics
-    assert [alone[name] for name in metrics] == [tables[0][name][3] for name in metrics]
-
-
-def test_rows_of_a_link_that_varies_are_those_of_single_runs() -> None:
-    table = sweep("canonical", {"deadband": [0.1]}, metrics=["x_err_rms", "fresh_fwd"],
-                  fixed={"law": "direct", "link": "delay(0.01) | uniform(0.01)", "duration": 0.3})
-    alone = run(load_scene("canonical", law="direct", link="delay(0.01) | uniform(0.01)", duration=0.3, deadband=0.1))
-    assert [table["x_err_rms"][0], table["fresh_fwd"][0]] == [alone.metrics["x_err_rms"], alone.metrics["fresh_fwd"]]
 
 
 def test_conditions_on_a_delay_count_the_silence_before_it_is_known() -> None:

@@ -25,6 +25,7 @@ from teleop.sweeps import cluster
 from teleop.sweeps.chunk import Job
 from teleop.sweeps.cluster import answer, connected, digest_of, files_of, parse_address, sources
 from teleop.sweeps.runner import carry_out, plan_sweep
+from tests.programs import COMPILERS, program
 from tests.waiting import PATIENCE, until
 
 pytestmark = pytest.mark.live
@@ -154,8 +155,9 @@ class TestTheRows:
         until(lambda: rig.tasks() <= before)  # what came back is not kept, though the client is open
 
     def test_of_compiled_kernels_are_the_same(self, rig: Rig) -> None:
+        program(*COMPILERS)
         asked: dict[str, Any] = {"seeds": 3, "fixed": {**FIXED, "energy": False}, "metrics": ["x_err_max"]}
-        far = sweep("soft_tissue", **asked, engine="scalar", executor=rig.client.get_executor())
+        far = sweep("soft_tissue", **asked, engine="c", executor=rig.client.get_executor())
         assert rows(far) == rows(sweep("soft_tissue", **asked, engine="plain"))
 
     def test_of_a_scene_of_ones_own_are_by_its_path(self, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

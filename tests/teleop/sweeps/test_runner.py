@@ -25,6 +25,7 @@ from teleop.laws.wave import Wave
 from teleop.simulation.result import Result
 from teleop.sweeps.chunk import ChunkResult, Job, work
 from teleop.sweeps.runner import carry_out, cores, plan_sweep
+from tests.fakes import usually
 
 AXES = {"law": ["wave", "direct", "pfra"], "k_e": [100.0, 400.0]}
 FIXED = {"duration": 0.3, "link": "delay(0.01) | uniform(0.02) | bernoulli(0.1)"}
@@ -396,12 +397,11 @@ def scene(*, K: float = 100.0, delay: int = 0, near: float = 100.0, duration: fl
 '''
 
 
-ENGINES = pytest.mark.parametrize("engine", [pytest.param("plain", marks=pytest.mark.full), "scalar",
-                                             pytest.param("vector", marks=pytest.mark.full)])
+ENGINES = usually("engine", [None, "plain", "scalar", "vector"], None)  # None: the one that is chosen for it
 
 
 @ENGINES
-def test_the_critical_stiffness_of_a_sampled_wall(engine: str, tmp_path: Path) -> None:
+def test_the_critical_stiffness_of_a_sampled_wall(engine: str | None, tmp_path: Path) -> None:
     """m = 0.04 kg, b = 0.8 N s/m, 1 kHz: eigenvalues of the exact model say where; runs say the same to 1 %."""
     (tmp_path / "pressed.py").write_text(SCENE)
     name = str(tmp_path / "pressed.py")
@@ -433,7 +433,7 @@ def scene(*, forth: int = 1, back: int = 1, k: float = 400.0, duration: float = 
 
 
 @ENGINES
-def test_the_delay_margin_of_two_handles(engine: str, tmp_path: Path) -> None:
+def test_the_delay_margin_of_two_handles(engine: str | None, tmp_path: Path) -> None:
     """Position-force at 1 kHz is first unstable at a round trip of 9 ticks; on the stiff wall at the least there is."""
     (tmp_path / "handles.py").write_text(HANDLES)
     for k, trips, first in ((400.0, (7, 8, 9, 10), 9), (2000.0, (2, 3), 2)):
