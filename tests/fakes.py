@@ -15,11 +15,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 
-from channel.effect import Effect
-from channel.rng import Ints, Rng
-from channel.schedule import by_time
-from teleop.law import At
-from teleop.protocol.endpoint import Reading
+from channel import Effect, Ints, Rng, by_time
+from teleop import At, Reading
 
 if TYPE_CHECKING:
     from teleop.live.net.wire import Wire

@@ -25,8 +25,7 @@ from channel import (
     parse_link,
 )
 from channel.link import EFFECTS, EXAMPLES
-from teleop import load_scene
-from teleop.errors import Refused
+from teleop import Refused, load_scene
 
 
 def test_texts_and_their_links() -> None:

@@ -11,12 +11,9 @@ import numpy as np
 import pytest
 
 from channel import Recorded, describe, parse_link
+from teleop import Refused, load_scene, run, sweep
 from teleop.analysis.models.linear import refuse_nonlinear_parts
-from teleop.errors import Refused
-from teleop.scene.loading import load_scene
 from teleop.simulation.plan import link_plans
-from teleop.simulation.virtual import run
-from teleop.sweeps.runner import sweep
 from tests.channel.conftest import MS, live_run
 
 FWD = [(0, 20 * MS + 1, 21), (1, 20 * MS + 2, 21), (3, 24 * MS, 24), (3, 25 * MS, 25), (2, 26 * MS, 26)]

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from channel import __main__ as command
-from channel.link import parse_link
+from channel import parse_link
 from teleop.protocol.packet import Kind, Packet, encode
 from teleop.scene.library import ROOT
 from tests.channel.site import MANIFEST

@@ -8,14 +8,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
-from channel.left_out import LeftOut
-from channel.link import parse_link
+from channel import LeftOut, parse_link
 from master.hand import Grip, Sine
-from slave.hunt_crossley import HuntCrossley
-from slave.moving import Moving
-from slave.standard_linear_solid import StandardLinearSolid
-from slave.tissue import Tissue
-from slave.wall import Wall
+from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
 from teleop import At, Energy, Fixed, Integral, Operator, Scaled, Scene, Wave, kind, load_scene
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA

@@ -19,14 +19,11 @@ from typing import Any
 from channel.link import parse_link
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
+from teleop import Cap, Scene, Watchdog, load_scene
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import DATA, Kind, Packet, Rejection, decode
 from teleop.protocol.session import Session
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
-from teleop.stages.force_cap import Cap
-from teleop.stages.watchdog import Watchdog
 from tests.fuzz.datagrams import Hostile, View, is_lost, keep
 
 MS = 1_000_000

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from teleop import Scene, load_scene
 from teleop.live.records.record import RecordWriter
 from teleop.protocol.guard import Event
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.structure import columns
 from tests.teleop.protocol.virtual_clock import World
 

@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop import load_result
+from teleop import load_result, load_scene, run
 from teleop.live.demo import EndOptions, demo
 from teleop.scene.library import ROOT
-from teleop.scene.loading import load_scene
-from teleop.simulation.virtual import run
 from tests.live.conftest import Command, Demo
 from tests.teleop.export.test_stream import Receiver
 from tests.waiting import until

@@ -16,9 +16,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop import load_result
+from teleop import DeviceError, load_result
 from teleop.bench.watchdog import BLOWS, FORCE, HANG, SCENE, Motor, trial
-from teleop.errors import DeviceError
 from teleop.live.devices.device_watchdog import (
     ACKED,
     BEAT,

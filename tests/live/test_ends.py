@@ -19,15 +19,13 @@ import pytest
 from channel.__main__ import main as channel_main
 from master.__main__ import main as master_main
 from slave.__main__ import main as slave_main
-from teleop import load_result
+from teleop import Refused, load_result, load_scene
 from teleop.__main__ import main as report
-from teleop.errors import Refused
 from teleop.live.records.end_result import WAYS
 from teleop.live.records.merge import merge, scene_of
 from teleop.live.records.reader import FILE, read_noted, read_record
 from teleop.live.records.record import EVERY
 from teleop.scene.library import ROOT
-from teleop.scene.loading import load_scene
 from tests.live.conftest import summary
 from tests.live.killing import free_port
 from tests.waiting import PATIENCE, until

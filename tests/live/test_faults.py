@@ -15,7 +15,7 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.errors import DeviceError
+from teleop import DeviceError, load_scene
 from teleop.law.contract import Method
 from teleop.live import leaving
 from teleop.live.leaving import RETRY_NS
@@ -25,7 +25,6 @@ from teleop.live.records.reader import read_record
 from teleop.live.records.record import read_events
 from teleop.live.shell import TRACEBACK, fault_sentence
 from teleop.protocol.endpoint import Endpoint
-from teleop.scene.loading import load_scene
 from tests.fakes import Body, at_tick, raising
 from tests.live.conftest import summary
 

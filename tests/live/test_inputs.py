@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop.errors import Refused
+from teleop import Refused, load_scene
 from teleop.laws.wave import Back, Forth
 from teleop.live.records.inputs import ARRIVALS, INPUTS, MOST, InputWriter, input_columns, read_arrivals, read_inputs
 from teleop.live.records.reader import TruncatedRecord
-from teleop.scene.loading import load_scene
 from teleop.stages.wave_integral import Integrals
 
 SCENE = load_scene("hard_wall", duration=1.0, playout="integral")

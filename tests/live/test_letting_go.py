@@ -14,15 +14,9 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.errors import DeviceError
+from teleop import Cap, DeviceError, MassDamper, Reading, Watchdog, load_scene, run
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.record import read_events
-from teleop.physics.plant import MassDamper
-from teleop.protocol.endpoint import Reading
-from teleop.scene.loading import load_scene
-from teleop.simulation.virtual import run
-from teleop.stages.force_cap import Cap
-from teleop.stages.watchdog import Watchdog
 from tests.fakes import Body
 
 pytestmark = pytest.mark.live

@@ -16,12 +16,10 @@ import pytest
 from master.device import SimulatedMaster
 from scenarios.examples.device import Carriage
 from slave.robot import SimulatedSlave
-from teleop import DeviceError, Reading, load_scene
+from teleop import PFRA, DeviceError, Direct, Reading, load_result, load_scene
 from teleop.__main__ import main
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
 from teleop.live.records.end_result import NAMES
-from teleop.live.records.merge import load_result, merge, scene_of
+from teleop.live.records.merge import merge, scene_of
 from teleop.live.records.reader import OWN
 from teleop.live.records.record import read_events
 from teleop.live.replay.rerun import difference, read_end

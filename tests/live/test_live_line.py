@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop import load_scene
+from teleop import Deadband, Reading, Scene, load_scene
 from teleop.live.live_line import LiveLine, live_text
-from teleop.protocol.endpoint import Endpoint, Reading
+from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.session import Session
 from teleop.scene.loading import live_knobs
-from teleop.scene.scene import Scene, both_ends
+from teleop.scene.scene import both_ends
 from teleop.simulation.structure import columns
-from teleop.stages.deadband import Deadband
 from teleop.terminal.progress import Progress
 from tests.fakes import Terminal
 

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop.errors import Refused
+from teleop import Refused, load_result, load_scene
 from teleop.live.records.end_result import NAMES, WAYS
-from teleop.live.records.merge import load_result, merge, recover, scene_of
+from teleop.live.records.merge import merge, recover, scene_of
 from teleop.live.records.reader import FILE, IDLE, GrowingRecord, TruncatedRecord, read_record
 from teleop.live.records.record import EVENTS, EVERY, NEWEST, RecordWriter, fresh_folder, read_events
 from teleop.protocol.guard import Event
 from teleop.scene.library import ROOT
-from teleop.scene.loading import load_scene
 from teleop.simulation.structure import columns
 from teleop.simulation.trace import EndRecord
 from teleop.terminal.run_table import table

@@ -11,14 +11,11 @@ import numpy as np
 import pytest
 
 from channel.recorded import Recorded
+from teleop import Fixed, Integral, Playout, Result, Scene, Zero, load_scene, run
 from teleop.live.records.inputs import INPUTS
 from teleop.live.records.reader import read_record
 from teleop.live.records.record import read_events
-from teleop.scene.loading import load_scene
-from teleop.scene.playout import Fixed, Integral, Playout, Zero, as_typed
-from teleop.scene.scene import Scene
-from teleop.simulation.result import Result
-from teleop.simulation.virtual import run
+from teleop.scene.playout import as_typed
 from tests.live.recording import Recording
 from tests.teleop.protocol.virtual_clock import MS, healing
 

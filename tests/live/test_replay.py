@@ -17,16 +17,11 @@ import pytest
 
 from channel.recorded import Recorded
 from slave.wall import Wall
+from teleop import Device, Encoder, Integral, LowPass, Refused, load_scene
 from teleop.__main__ import main
-from teleop.errors import Refused
 from teleop.live.records.inputs import ARRIVALS, INPUTS
 from teleop.live.records.reader import TruncatedRecord
 from teleop.live.replay.rerun import command_open_loop, difference, read_end
-from teleop.scene.loading import load_scene
-from teleop.scene.playout import Integral
-from teleop.stages.device import Device
-from teleop.stages.encoder import Encoder
-from teleop.stages.velocity.low_pass import LowPass
 from tests.live.conftest import Pair
 from tests.live.recording import Recording
 from tests.teleop.protocol.virtual_clock import healing

@@ -15,7 +15,7 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.errors import Refused
+from teleop import Energy, Fixed, Hold, Integral, Playout, Refused, Scaled, Watchdog, Zero, load_scene
 from teleop.live.net.wire import Wire, bind_udp
 from teleop.live.options import ticks_of
 from teleop.live.process.interrupt import Interrupt
@@ -24,9 +24,6 @@ from teleop.live.records.reader import FILE
 from teleop.live.records.record import EVENTS
 from teleop.live.summary import missed_note, reading_note, sums_note
 from teleop.protocol.packet import DATA, Kind, peek
-from teleop.scene.loading import load_scene
-from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
-from teleop.stages.watchdog import Watchdog
 from tests.fakes import Body, at_tick, wire_of
 from tests.live.conftest import make_shell
 

@@ -15,11 +15,7 @@ import pytest
 
 from channel.link import parse_link
 from master.hand import Grip, Rest, Sine
-from slave.hunt_crossley import HuntCrossley
-from slave.moving import Moving
-from slave.standard_linear_solid import StandardLinearSolid
-from slave.tissue import Tissue
-from slave.wall import Wall
+from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
 from teleop.law import find_law, known_laws
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA

@@ -14,14 +14,13 @@ from typing import Any
 
 import pytest
 
-from teleop import Refused, load_result
+from teleop import Refused, load_result, load_scene
 from teleop.__main__ import main
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.inputs import ARRIVALS, INPUTS
 from teleop.live.records.merge import merge, needs_recovery
 from teleop.live.records.reader import FILE
 from teleop.protocol.guard import Event
-from teleop.scene.loading import load_scene
 from teleop.simulation.result import RUNNING
 from teleop.storage.folder import is_being_written
 from tests.live.recording import add_rows, record_of

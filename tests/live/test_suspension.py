@@ -9,10 +9,9 @@ from typing import Any
 
 import pytest
 
+from teleop import Watchdog, load_scene
 from teleop.live.driving import ClockDriver
 from teleop.live.process.ticker import LEAST_NS, Suspension, boottime
-from teleop.scene.loading import load_scene
-from teleop.stages.watchdog import Watchdog
 
 S = 1_000_000_000
 

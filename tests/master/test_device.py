@@ -10,22 +10,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from master.device import SimulatedMaster
-from master.hand import Grip, Reach, Sine
-from slave.moving import Moving
-from slave.robot import SimulatedSlave
-from slave.standard_linear_solid import StandardLinearSolid
-from slave.tissue import Tissue
-from slave.wall import Wall
-from teleop.errors import Refused
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.protocol.endpoint import Reading
+from master import Grip, Reach, SimulatedMaster, Sine
+from slave import Moving, SimulatedSlave, StandardLinearSolid, Tissue, Wall
+from teleop import PFRA, Direct, MassDamper, Reading, Refused, Scene, Wave, run
 from teleop.protocol.guard import DEADLINE
-from teleop.scene.scene import Scene
-from teleop.simulation.virtual import run
 
 BODY = MassDamper(mass=0.1, damping=0.5)
 HAND = Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=0.05, frequency=3.0))

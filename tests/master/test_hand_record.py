@@ -13,11 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from master.device import SimulatedMaster
-from master.hand_record import HandRecording
-from master.steered import SteeredMaster
-from teleop import load_scene, run
-from teleop.errors import Refused
+from master import HandRecording, SimulatedMaster, SteeredMaster
+from teleop import Refused, load_scene, run
 from teleop.live.records.reader import TruncatedRecord
 from teleop.scene.loading import stored_scene
 

@@ -15,8 +15,7 @@ import pytest
 pytest.importorskip("websockets", reason="the extra `haply` is not installed")
 
 from master.haply import STALE_NS, Inverse3, settings_of, zeroing
-from teleop import DeviceError, Refused, Scene, Wave, load_scene
-from teleop.physics.plant import MassDamper
+from teleop import DeviceError, MassDamper, Refused, Scene, Wave, load_scene
 from tests.master.inverse_stand_in import RATE, StandIn
 
 BODY = MassDamper(mass=0.3, damping=1.0)

@@ -16,13 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from master.device import SimulatedMaster
-from master.hand import Grip, Reach, Rest, Sine
-from master.steered import ALIGNING, BANDWIDTH, ENOUGH, MOST_SPEED, SWING, SteeredMaster, following
-from teleop.errors import Refused
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
+from master import Grip, Reach, Rest, SimulatedMaster, Sine, SteeredMaster
+from master.steered import ALIGNING, BANDWIDTH, ENOUGH, MOST_SPEED, SWING, following
+from teleop import MassDamper, Refused, Scene, Wave
 
 BODY = MassDamper(mass=0.1, damping=0.5)
 HAND = Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=0.05, frequency=1.0))

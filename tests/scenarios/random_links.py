@@ -13,14 +13,10 @@ import numpy as np
 
 from channel.link import parse_link
 from master.hand import Grip, Reach, Rest, Sine
-from teleop import load_scene
-from teleop.errors import Refused
-from teleop.law import Law
+from teleop import Energy, Fixed, Integral, Law, Playout, Reference, Refused, Scene, Zero, load_scene
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import built_in_scenes, scene_function
-from teleop.scene.parts import Reference
-from teleop.scene.playout import Energy, Fixed, Gaps, Integral, Playout, Zero
-from teleop.scene.scene import Scene
+from teleop.scene.playout import Gaps
 
 Dice = np.random.Generator
 RECORDINGS = 6  # of either kind

@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 
 from channel.link import EFFECTS
-from teleop import load_scene, run
-from teleop.law import find_law, known_laws
-from teleop.scene.playout import Energy, Fixed, Integral
+from teleop import Energy, Fixed, Integral, find_law, load_scene, run
+from teleop.law import known_laws
 from teleop.sweeps.chunk import Job, work
 from tests.scenarios import random_links
 from tests.scenarios.random_links import bases, drawn, held, integrated, late, makers, record

@@ -12,12 +12,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
-from teleop.errors import Refused
-from teleop.laws.wave import Wave
-from teleop.physics.implicit import Resistance, implicit_plant
-from teleop.physics.plant import MassDamper, Plant, move_free
+from teleop import MassDamper, Plant, Refused, Resistance, Scene, Wave
+from teleop.physics.implicit import implicit_plant
+from teleop.physics.plant import move_free
 from teleop.physics.sdirk import HUNT_CROSSLEY
-from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
 from tests.teleop.physics.motions import run
 

@@ -15,10 +15,7 @@ import pytest
 from master.device import SimulatedMaster
 from slave.mujoco_model import OWN, load
 from slave.mujoco_robot import MuJoCoBody, MuJoCoRobot, pressed
-from teleop import MassDamper, Refused, Scene, load_scene, run
-from teleop.laws.direct import Direct
-from teleop.laws.wave import Wave
-from teleop.live.devices.checking import check_device
+from teleop import Direct, MassDamper, Refused, Scene, Wave, check_device, load_scene, run
 from teleop.live.in_process import run_stepped
 
 mujoco = pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from teleop import load_scene
+from teleop import EndFit, Levant, LowPass, load_scene
 from teleop.naming import find
 from teleop.stages.velocity import ESTIMATORS
-from teleop.stages.velocity.adaptive_window import EndFit
-from teleop.stages.velocity.levant import Levant
-from teleop.stages.velocity.low_pass import LowPass
 
 
 def test_a_text_makes_the_part_that_it_names() -> None:

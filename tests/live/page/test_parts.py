@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop import load_result, load_scene
-from teleop.errors import Refused
+from teleop import Refused, load_result, load_scene
 from teleop.live.page.session import PagePart, PageParts, size_of
 from tests.live.conftest import Pair
 

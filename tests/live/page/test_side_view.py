@@ -11,13 +11,12 @@ import pytest
 
 pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
 
-from teleop.errors import Refused
+from teleop import Refused, load_scene
 from teleop.live.page.controls import Controls
 from teleop.live.page.page import Page
 from teleop.live.page.session import PageParts, Start
 from teleop.live.page.side_view import SideView
 from teleop.live.process.interrupt import Interrupt
-from teleop.scene.loading import load_scene
 
 SHAPES = """<mujoco><default><geom contype="0" conaffinity="0" mass="0.01"/></default><worldbody>
   <geom type="plane" size="1 1 0.1"/><geom type="box" pos="0.5 0 0.1" size="0.1 0.2 0.05"/>

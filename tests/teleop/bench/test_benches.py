@@ -11,14 +11,13 @@ from typing import Any
 
 import pytest
 
+from teleop import Refused, find_law
 from teleop.bench import __main__ as bench
 from teleop.bench import flood, sweep
 from teleop.bench.__main__ import BENCHES
 from teleop.bench.cost import PARTS, place_of
 from teleop.bench.live import Alone, Round, computing, rows
 from teleop.bench.timing import compiled
-from teleop.errors import Refused
-from teleop.law import find_law
 from teleop.scene.library import ROOT
 from tests.programs import COMPILERS, program
 

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from teleop import Scene, load_scene, run
 from teleop.bench.rivals import control, jitcdde, numpy_batch
 from teleop.bench.rivals.numpy_batch import change, located, stepped
 from teleop.bench.rivals.rival import Absent, exact_positions, library, stiffnesses
 from teleop.physics.contact import events
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
-from teleop.simulation.virtual import run
 from tests.programs import COMPILERS, program
 
 ACCURACY = 1e-6  # m, of either handle's position

@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from teleop import Cap, Scene, Watchdog, load_scene
+from teleop import Cap, Scene, Watchdog, load_scene, messages
 from teleop.emit.files import FLAGS, files
 from teleop.emit.vectors import ReferenceEnd
-from teleop.law import messages
 from teleop.protocol.guard import BLIND_NS, CAUSES, ForceGuard, HeldForce
 from teleop.protocol.states import Cause, Reason
 from teleop.simulation.tick import LiveTick

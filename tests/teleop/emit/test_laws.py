@@ -6,11 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from teleop import check_law, load_scene
+from teleop import PositionPosition, VirtualWall, check_law, find_law, load_scene
 from teleop.emit import compiled as compiled_module
-from teleop.law import BUILT_IN, find_law
-from teleop.laws.pp import PositionPosition
-from teleop.laws.virtual_wall import VirtualWall
+from teleop.law import BUILT_IN
 from tests.programs import COMPILERS, program
 from tests.teleop.emit.printed import assert_same
 

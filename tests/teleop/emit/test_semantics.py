@@ -10,12 +10,11 @@ from typing import Any, ClassVar, NamedTuple
 
 import pytest
 
-from teleop import At, Scene, load_scene
+from teleop import At, Device, Scene, load_scene
 from teleop.emit import files as files_module
 from teleop.emit.files import files
 from teleop.emit.primitives import HELPERS, PRIMITIVES, Primitive
 from teleop.emit.vectors import vectors
-from teleop.stages.device import Device
 from tests.teleop.emit.printed import compiled, differences, limited
 
 

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop import Refused
-from teleop.export.stream import GrowingRun
+from teleop import GrowingRun, Refused
 from teleop.live.records.reader import FILE
 from teleop.storage.folder import claim
 from tests.teleop.export.conftest import LiveEnd

@@ -11,19 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop import load_scene, run
+from teleop import At, ModelMediated, load_scene, run
 from teleop.analysis.stability.assess import stability
-from teleop.law import At, start_at
-from teleop.laws.model_mediated import (
-    MOST,
-    P_C,
-    P_K,
-    Back,
-    Forth,
-    ModelMediated,
-    ModelMediatedMaster,
-    ModelMediatedSlave,
-)
+from teleop.law import start_at
+from teleop.laws.model_mediated import MOST, P_C, P_K, Back, Forth, ModelMediatedMaster, ModelMediatedSlave
 
 LAW = ModelMediated()
 

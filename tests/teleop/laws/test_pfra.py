@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 from channel import Bernoulli, Delay, UniformJitter
 from master.hand import Grip, Rest, Sine
 from slave import Tissue, Wall
-from teleop import At, Direct, Scene, load_scene, run
-from teleop.law.offers import Facts
-from teleop.laws.pfra import EPS, PFRA, Back, PFRASums
-from teleop.physics.plant import MassDamper, free_space, move_free
+from teleop import PFRA, At, Direct, Facts, MassDamper, Scene, load_scene, run
+from teleop.laws.pfra import EPS, Back, PFRASums
+from teleop.physics.plant import free_space, move_free
 from teleop.stages.observer import coefficients, observe
 
 Vector = tuple[float, ...]

@@ -11,13 +11,11 @@ import numpy as np
 from channel.relay import Relay
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.laws.wave import Wave
-from teleop.protocol.endpoint import Endpoint, Reading, Stepped
+from teleop import Reading, Scene, Wave, load_scene
+from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Packet, decode
 from teleop.protocol.session import Session
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.structure import columns

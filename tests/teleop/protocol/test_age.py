@@ -9,15 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from teleop import load_scene, run
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.scene.playout import Fixed, Hold, Playout, Zero
-from teleop.scene.scene import Scene
+from teleop import PFRA, Direct, Fixed, Hold, Playout, Scene, Watchdog, Wave, Zero, load_scene, run, sweep
 from teleop.simulation.source import rendered
-from teleop.stages.watchdog import Watchdog
-from teleop.sweeps.runner import sweep
 from tests.fakes import usually
 from tests.teleop.protocol.virtual_clock import MS, S, World, healing
 

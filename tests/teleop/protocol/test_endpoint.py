@@ -13,8 +13,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from channel import LeftOut, LeftOutTicks
-from channel.link import Link, parse_link
+from channel import LeftOut, LeftOutTicks, Link, parse_link
 from teleop import Deadband, Device, EndFit, LowPass, Refused
 from teleop.law import At
 from teleop.laws.direct import Direct

@@ -11,12 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from channel.link import parse_link
-from teleop import Scene, load_scene
-from teleop.laws.direct import Direct
+from teleop import Cap, Direct, Fixed, Scene, Watchdog, Zero, load_scene
 from teleop.protocol.endpoint import Endpoint
-from teleop.scene.playout import Fixed, Zero
-from teleop.stages.force_cap import LONGEST, Cap
-from teleop.stages.watchdog import Watchdog
+from teleop.stages.force_cap import LONGEST
 from tests.teleop.protocol.ends import MS, ROUGH, START, Both, met, reading, scene
 
 

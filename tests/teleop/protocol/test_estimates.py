@@ -10,10 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.laws.direct import Direct
+from teleop import Direct, Fixed, Scene, Zero
 from teleop.protocol.estimates import FEWEST, MOST_RTT_NS, LinkEstimates, PeerClock, Times
-from teleop.scene.playout import Fixed, Zero
-from teleop.scene.scene import Scene
 from tests.fakes import usually
 from tests.teleop.protocol.virtual_clock import MS, Clock, S, World, healing
 

@@ -10,17 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
+from teleop import PFRA, Cap, Device, Direct, Encoder, Fixed, Integral, Watchdog, Wave
 from teleop.protocol.guard import DEADLINE, LAPSING, Event
 from teleop.protocol.packet import Echo, Kind, Packet, encode
-from teleop.scene.playout import Fixed, Integral
 from teleop.simulation.structure import columns
-from teleop.stages.device import Device
-from teleop.stages.encoder import Encoder
-from teleop.stages.force_cap import Cap
-from teleop.stages.watchdog import Watchdog
 from tests.fakes import usually
 from tests.teleop.protocol.virtual_clock import DOG, MS, Done, World, healing
 

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from master import Grip, Sine
 from slave import Wall
-from teleop import Cap, Device, Encoder, LowPass, MassDamper, Scene, Wave
+from teleop import Cap, Device, Encoder, LowPass, MassDamper, Scene, Wave, load_scene
 from teleop.protocol.manifest import fingerprint, manifest_difference, manifest_of
 from teleop.protocol.packet import MOST_CONTROL, Kind, Packet, encode, one_line
-from teleop.scene.loading import load_scene
 from tests import fakes
 
 

@@ -8,10 +8,8 @@ from typing import Any
 
 import pytest
 
+from teleop import Fixed, Scene, Watchdog, Zero
 from teleop.protocol.packet import Kind, peek
-from teleop.scene.playout import Fixed, Zero
-from teleop.scene.scene import Scene
-from teleop.stages.watchdog import Watchdog
 from tests.fakes import usually
 from tests.teleop.protocol.test_healing import LAWS, alike, check, running
 from tests.teleop.protocol.virtual_clock import MS, PATIENT, Done, S, World, healing

@@ -6,13 +6,9 @@ from typing import Any
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
+from teleop import PFRA, Fixed, Scene, Watchdog, Wave, Zero
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.packet import Echo, encode
-from teleop.scene.playout import Fixed, Zero
-from teleop.scene.scene import Scene
-from teleop.stages.watchdog import Watchdog
 from tests.begun import begin
 from tests.fakes import usually
 from tests.teleop.protocol.ends import MS, START, met, packet_in, scene

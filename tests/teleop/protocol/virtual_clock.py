@@ -15,15 +15,11 @@ from typing import Any, NamedTuple
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.laws.wave import Wave
+from teleop import Cap, Scene, Watchdog, Wave, load_scene
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, peek
 from teleop.protocol.session import Session
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
-from teleop.stages.force_cap import Cap
-from teleop.stages.watchdog import Watchdog
 from tests.fakes import Body
 
 S, MS = 1_000_000_000, 1_000_000

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 import teleop.terminal.plotting
-from teleop import load_scene, run
+from teleop import Result, load_scene, run
 from teleop.report.of_runs import RunView, most_to_see, of_one, of_parts, of_several
 from teleop.report.page import page
 from teleop.report.strips import Strip, strips
 from teleop.scene.axes import AxisLabels
-from teleop.simulation.result import Result
 from tests.teleop.report.read_page import SVG, Page, curves, frames, texts
 
 pytest.importorskip("matplotlib")

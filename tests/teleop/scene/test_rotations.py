@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from teleop.errors import Refused
-from teleop.laws.around.names import around
-from teleop.laws.model_mediated import ModelMediated
-from teleop.laws.pp import PositionPosition
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
+from teleop import MassDamper, ModelMediated, PositionPosition, Refused, VirtualWall, Wave, around
 from teleop.scene.scene import on_axis, without_orientation
 from tests.fakes import Springs
 from tests.teleop.stages.tumbling import tumbling

@@ -13,10 +13,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from slave.wall import Wall
-from teleop import Refused, Scene, around, load_scene
-from teleop.laws.direct import Direct
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
+from teleop import Direct, MassDamper, Refused, Scene, Wave, around, load_scene
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.manifest import fingerprint, manifest_of
 from teleop.protocol.session import Session

@@ -29,19 +29,9 @@ from channel.link import Link
 from channel.normal import NormalJitter
 from channel.uniform import UniformJitter
 from master.hand import Grip, Reach, Rest, Sine
-from slave.tissue import Tissue
-from slave.wall import Wall
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.playout import Fixed, Hold, Zero
-from teleop.scene.scene import Scene
+from slave import Tissue, Wall
+from teleop import PFRA, Cap, Direct, Fixed, Hold, MassDamper, Result, Scene, Watchdog, Wave, Zero, run
 from teleop.simulation import source
-from teleop.simulation.result import Result
-from teleop.simulation.virtual import run
-from teleop.stages.force_cap import Cap
-from teleop.stages.watchdog import Watchdog
 from teleop.terminal.run_table import table
 
 TICKS, SPREAD, SEED = 240, 320, 5

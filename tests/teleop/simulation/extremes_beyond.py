@@ -14,15 +14,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from channel.bernoulli import Bernoulli
-from channel.delay import Delay
-from channel.uniform import UniformJitter
+from channel import Bernoulli, Delay, UniformJitter
 from master.hand import Grip, Reach, Rest, Sine
-from slave.hunt_crossley import HuntCrossley
-from slave.moving import Moving
-from slave.standard_linear_solid import StandardLinearSolid
-from slave.tissue import Tissue
-from slave.wall import Wall
+from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
 from teleop.law import At
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA

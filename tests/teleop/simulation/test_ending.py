@@ -11,17 +11,12 @@ import numpy as np
 import pytest
 
 from master.hand import Grip, Sine
+from teleop import Direct, MassDamper, Scene, VirtualWall, load_scene, run
 from teleop.analysis.stability.assess import is_stable
-from teleop.laws.direct import Direct
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.physics.plant import MassDamper
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.ending import scene_arguments
 from teleop.simulation.notes import unplayed
 from teleop.simulation.plan import Packets
 from teleop.simulation.rest import swings, trend
-from teleop.simulation.virtual import run
 
 
 def warned(result: Any, word: str) -> list[str]:

@@ -8,18 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from channel.bernoulli import Bernoulli
-from channel.delay import Delay
-from channel.uniform import UniformJitter
+from channel import Bernoulli, Delay, UniformJitter
 from master.hand import Grip, Sine
 from slave.wall import Wall
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.playout import Fixed, Hold, Zero
-from teleop.scene.scene import Scene
-from teleop.simulation.virtual import run
+from teleop import PFRA, Direct, Fixed, Hold, MassDamper, Scene, Wave, Zero, run
 
 DT, B = 1e-3, 2.0
 LINKS = {

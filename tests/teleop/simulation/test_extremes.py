@@ -20,17 +20,10 @@ import pytest
 
 from channel.delay import Delay
 from master.hand import Grip, Rest
-from slave.tissue import Tissue
-from slave.wall import Wall
-from teleop import load_result
-from teleop.laws.direct import Direct
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
+from slave import Tissue, Wall
+from teleop import Direct, MassDamper, Result, Scene, Wave, load_result, run
 from teleop.physics.sdirk import MOST_SUBSTEPS
 from teleop.scene.playout import repeats
-from teleop.scene.scene import Scene
-from teleop.simulation.result import Result
-from teleop.simulation.virtual import run
 from teleop.stages.force_cap import LONGEST
 from teleop.terminal.run_table import table
 from tests.teleop.simulation import extremes, extremes_beyond

@@ -12,10 +12,7 @@ import pytest
 from channel import Delay
 from master import Grip, Sine
 from slave import Tissue, Wall
-from teleop import Scene, load_scene, run, sweep
-from teleop.laws.direct import Direct
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
+from teleop import Direct, MassDamper, Scene, Wave, load_scene, run, sweep
 from teleop.simulation.felt import SUMS, Frame, figures, ranks, smoothness, stiffness
 from teleop.simulation.metrics import METRICS, metrics
 from teleop.sweeps.engine import needs_record

@@ -10,11 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop.laws.direct import Direct
-from teleop.physics.plant import MassDamper
-from teleop.scene.loading import load_scene
+from teleop import Direct, MassDamper, Scene, load_scene, run
 from teleop.scene.playout import integrates
-from teleop.scene.scene import Scene
 from teleop.simulation.metrics import (
     DEADBAND,
     FELT,
@@ -36,7 +33,6 @@ from teleop.simulation.metrics import (
 )
 from teleop.simulation.prepared import prepare
 from teleop.simulation.structure import structure_of
-from teleop.simulation.virtual import run
 
 SCENE = Scene(law=Direct(), master=MassDamper(mass=1.0), slave=MassDamper(mass=1.0), dt=1e-3, duration=1.0)
 N = 100

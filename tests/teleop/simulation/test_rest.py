@@ -13,21 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master.hand import Grip, Reach, Rest, Sine
-from slave.moving import Moving
-from slave.wall import Wall
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.physics.plant import MassDamper
+from slave import Moving, Wall
+from teleop import BackwardDifference, Device, Encoder, MassDamper, Scene, VirtualWall, load_scene, run, sweep
 from teleop.scene.library import built_in_scenes
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.prepared import prepare
 from teleop.simulation.rest import FELT, LATE, WINDOWS, swings, trend
-from teleop.simulation.virtual import run
-from teleop.stages.device import Device
-from teleop.stages.encoder import Encoder
-from teleop.stages.velocity.backward_difference import BackwardDifference
 from teleop.sweeps.engine import needs_record
-from teleop.sweeps.runner import sweep
 
 T = np.arange(3000) * 1e-3
 

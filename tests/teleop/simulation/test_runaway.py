@@ -9,11 +9,7 @@ from typing import Any, ClassVar
 import pytest
 
 from master.hand import Grip, Rest
-from slave.hunt_crossley import HuntCrossley
-from slave.moving import Moving
-from slave.standard_linear_solid import StandardLinearSolid
-from slave.tissue import Tissue
-from slave.wall import Wall
+from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
 from teleop.law import At
 from teleop.laws.direct import Direct
 from teleop.laws.virtual_coupling import VirtualCoupling

@@ -11,27 +11,14 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 
-from channel.bernoulli import Bernoulli
-from channel.delay import Delay
-from channel.uniform import UniformJitter
+from channel import Bernoulli, Delay, UniformJitter
 from master.hand import Grip, Sine
-from slave.tissue import Tissue
-from slave.wall import Wall
-from teleop.law import At
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.loading import load_scene
-from teleop.scene.playout import Hold
-from teleop.scene.scene import Scene
+from slave import Tissue, Wall
+from teleop import PFRA, At, Cap, Direct, Hold, MassDamper, Scene, Watchdog, Wave, load_scene, run
 from teleop.simulation.source import bind, functions, live_of, rendered
 from teleop.simulation.structure import columns, live_structure, numbers_of, run_of, structure_of
 from teleop.simulation.tick import live
-from teleop.simulation.virtual import run
 from teleop.stages.end import Recorder
-from teleop.stages.force_cap import Cap
-from teleop.stages.watchdog import Watchdog
 
 
 class Note(NamedTuple):

@@ -13,14 +13,9 @@ import teleop.simulation.trace
 from channel.delay import Delay
 from master.hand import Grip, Sine
 from slave.wall import Wall
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
+from teleop import PFRA, Direct, MassDamper, Scene, Wave, run
 from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import Columns, EndRecord, assemble, end_columns
-from teleop.simulation.virtual import run
 
 SINE = Sine(amplitude=0.05, frequency=1.0)
 SCENE = Scene(

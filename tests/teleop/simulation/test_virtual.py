@@ -13,22 +13,13 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import teleop.simulation.bodies
-from channel.bernoulli import Bernoulli
-from channel.delay import Delay
-from channel.link import Link
-from channel.uniform import UniformJitter
+from channel import Bernoulli, Delay, Link, UniformJitter
 from master.hand import Grip, Rest, Sine
-from slave.tissue import Tissue
-from slave.wall import Wall
-from teleop.errors import Refused
-from teleop.law import At
-from teleop.laws.direct import Back, Direct, Forth
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
+from slave import Tissue, Wall
+from teleop import At, Direct, MassDamper, Refused, Scene, Wave, load_scene, run
+from teleop.laws.direct import Back, Forth
 from teleop.simulation.prepared import prepare
-from teleop.simulation.virtual import run, run_prepared
+from teleop.simulation.virtual import run_prepared
 
 ROUGH = Delay(0.02) | UniformJitter(0.02) | Bernoulli(0.2)
 

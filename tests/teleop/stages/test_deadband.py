@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from channel import Bernoulli, Delay, UniformJitter
-from teleop import Deadband, Refused, Scene, load_scene, run
+from teleop import Deadband, Refused, Scene, facts_of, load_scene, run
 from teleop.analysis.models.linear import refuse_nonlinear_parts
 from teleop.scene.playout import read_playout
-from teleop.simulation.notes import facts_of
 from teleop.simulation.plan import link_plans
 from tests.fakes import law_of
 

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from channel.mahimahi import Mahimahi
-from channel.ping_log import PingLog
+from channel import Mahimahi, PingLog
 from master.recording import Recording
 from teleop import Refused, load_scene
 from teleop.protocol.manifest import fingerprint

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.errors import Refused
-from teleop.scene.scene import Scene
+from teleop import Refused, Scene
 from teleop.studies.reproduce import PUBLICATIONS, find_publication
 from teleop.studies.reproduce.command import result_text
 from teleop.studies.reproduce.publication import Replication

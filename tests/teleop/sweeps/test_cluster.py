@@ -18,9 +18,8 @@ from typing import Any
 
 import pytest
 
-from teleop import Refused, sweep
+from teleop import Refused, Result, sweep
 from teleop.scene.library import ROOT
-from teleop.simulation.result import Result
 from teleop.sweeps import cluster
 from teleop.sweeps.chunk import Job
 from teleop.sweeps.cluster import answer, connected, digest_of, files_of, parse_address, sources

@@ -17,8 +17,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from channel.link import parse_link
-from teleop import Refused, load_scene
-from teleop.laws.wave import Wave
+from teleop import Refused, Wave, load_scene
 from teleop.sweeps.grid import Grid, Range, grid, json_value, parse_axes, parse_ranges, sampled
 
 NAMES = ("delay", "k_e", "d_e", "law", "law.b", "link")

@@ -9,10 +9,9 @@ import pytest
 
 from channel.delay import Delay
 from slave.wall import Wall
-from teleop.errors import Refused
-from teleop.laws.wave import Wave
+from teleop import Refused, Wave, load_scene
 from teleop.scene.library import scene_function
-from teleop.scene.loading import SceneMaker, load_scene
+from teleop.scene.loading import SceneMaker
 from teleop.sweeps.chunk import Job, work
 from teleop.sweeps.rows import RowMaker, same
 

@@ -18,11 +18,9 @@ import pytest
 
 import teleop.sweeps.runner
 from channel.delay import Delay
-from teleop import Refused, load_scene, run, sweep
+from teleop import Direct, Refused, Result, Wave, load_scene, run, sweep
 from teleop.analysis.stability.assess import critical
-from teleop.laws.direct import Direct, Forth
-from teleop.laws.wave import Wave
-from teleop.simulation.result import Result
+from teleop.laws.direct import Forth
 from teleop.sweeps.chunk import ChunkResult, Job, work
 from teleop.sweeps.runner import carry_out, cores, plan_sweep
 from tests.fakes import usually

@@ -14,9 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop import Refused
-from teleop.laws.wave import Wave
-from teleop.sweeps.table import Table, TableBuilder
+from teleop import Refused, Table, Wave
+from teleop.sweeps.table import TableBuilder
 
 KNOBS, METRICS = ("delay", "law", "n"), ("x_err_rms", "E_link_min")
 finite = st.floats(allow_nan=False, allow_infinity=False)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from teleop import At, VirtualCoupling
 from teleop.analysis.models.coupling import (
     alpha_max,
     alpha_miller,
@@ -25,15 +26,7 @@ from teleop.analysis.models.coupling import (
 )
 from teleop.analysis.models.sampled import needed_damping as needed_alone
 from teleop.analysis.models.sampled import spring_damper
-from teleop.law import At
-from teleop.laws.virtual_coupling import (
-    ANTICIPATES,
-    UNSTABLE,
-    Tool,
-    VirtualCoupling,
-    coupling_impedance,
-    tool_impedance,
-)
+from teleop.laws.virtual_coupling import ANTICIPATES, UNSTABLE, Tool, coupling_impedance, tool_impedance
 from teleop.physics.plant import linear
 from tests.teleop.analysis.models.closed_forms import alpha_max_spring_damper, wall_damping
 

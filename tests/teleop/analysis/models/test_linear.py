@@ -11,18 +11,11 @@ import pytest
 
 from channel.link import parse_link
 from master.hand import Grip, Rest
-from slave.tissue import Tissue
-from slave.wall import Wall
-from teleop import Refused, Scene, load_scene, run
+from slave import Tissue, Wall
+from teleop import PFRA, At, Direct, Fixed, MassDamper, Refused, Scene, Watchdog, Wave, load_scene, run
 from teleop.analysis.models.linear import linear_scene, link_ticks, matrix
-from teleop.law import At, start_at
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.scene.playout import Fixed
+from teleop.law import start_at
 from teleop.scene.playout import Hold as Repeat
-from teleop.stages.watchdog import Watchdog
 
 
 class Everything(NamedTuple):

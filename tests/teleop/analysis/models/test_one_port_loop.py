@@ -12,18 +12,11 @@ from scipy.linalg import expm
 
 from master.hand import Grip, Rest
 from scenarios.encoder_wall import scene as encoder_wall
+from teleop import BackwardDifference, Device, LowPass, MassDamper, Refused, Scene, VirtualCoupling, VirtualWall, run
 from teleop.analysis.models.loop import transfer
 from teleop.analysis.models.one_port_loop import controller, one_port
 from teleop.analysis.stability.assess import critical, is_stable, stability, swing
-from teleop.errors import Refused
-from teleop.laws.virtual_coupling import VirtualCoupling, rendered_impedance
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
-from teleop.simulation.virtual import run
-from teleop.stages.device import Device
-from teleop.stages.velocity.backward_difference import BackwardDifference
-from teleop.stages.velocity.low_pass import LowPass
+from teleop.laws.virtual_coupling import rendered_impedance
 
 M, B, T = 0.04, 0.8, 1e-3
 

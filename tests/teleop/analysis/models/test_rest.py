@@ -12,15 +12,9 @@ import pytest
 
 import teleop.analysis.models.rest
 from master.hand import Grip, Rest
-from teleop import load_scene
+from teleop import BackwardDifference, Device, Encoder, MassDamper, Scene, VirtualWall, load_scene
 from teleop.analysis.models.rest import QUIET, settled
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.physics.plant import MassDamper
-from teleop.scene.scene import Scene
 from teleop.simulation.rest import frequency
-from teleop.stages.device import Device
-from teleop.stages.encoder import Encoder
-from teleop.stages.velocity.backward_difference import BackwardDifference
 from tests.fakes import OneSpring
 
 

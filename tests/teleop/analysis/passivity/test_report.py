@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop import Refused, load_scene
+from teleop import LowPass, Refused, load_scene
 from teleop.__main__ import main
 from teleop.analysis.models import sampled
 from teleop.analysis.models.by_axis import along
 from teleop.analysis.passivity.command import ask, summary, table
 from teleop.analysis.passivity.one_port import one_port
 from teleop.laws.virtual_coupling import ANTICIPATES, UNSTABLE
-from teleop.stages.velocity.low_pass import LowPass
 from tests.teleop.analysis.models.closed_forms import filtered_wall
 
 T = 1e-3

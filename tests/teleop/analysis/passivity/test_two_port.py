@@ -13,24 +13,12 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from channel.delay import Delay
-from slave.hunt_crossley import HuntCrossley
-from slave.standard_linear_solid import StandardLinearSolid
-from slave.tissue import Tissue
-from slave.wall import Wall
-from teleop import Scene, load_scene
+from slave import HuntCrossley, StandardLinearSolid, Tissue, Wall
+from teleop import PFRA, At, BackwardDifference, Cap, Device, Direct, Encoder, MassDamper, Scene, Wave, load_scene
 from teleop.analysis.passivity.judge import judge, two_ports
 from teleop.analysis.passivity.surroundings import linear_parts, touched
 from teleop.analysis.passivity.two_port import TwoPort, continuous_two_port, sampled_two_port
-from teleop.law import At
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.stages.device import Device
-from teleop.stages.encoder import Encoder
-from teleop.stages.force_cap import Cap
 from teleop.stages.observer import coefficients, observe
-from teleop.stages.velocity.backward_difference import BackwardDifference
 from tests.fakes import Motion, Springs, law_of
 
 HANDLE = MassDamper(mass=0.04, damping=0.8)

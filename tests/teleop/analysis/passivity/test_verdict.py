@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from scipy.linalg import logm
 
-from teleop import load_scene
+from teleop import Cap, Scene, load_scene
 from teleop.analysis.passivity.command import ask, summary, table
 from teleop.analysis.passivity.one_port import one_port
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.physics.relaxing import relaxing_master
-from teleop.scene.scene import Scene
-from teleop.stages.force_cap import Cap
 
 T = 1e-3
 D = 6e-5

@@ -16,22 +16,16 @@ import pytest
 import teleop.analysis.precision.measure
 from channel.delay import Delay
 from master.hand import Grip, Rest
-from slave.tissue import Tissue
-from slave.wall import Wall
+from slave import Tissue, Wall
+from teleop import Direct, MassDamper, Refused, Scene, load_scene, run
 from teleop.analysis.precision.contenders import Contender, outsider_bodies
 from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, verdicts
 from teleop.analysis.precision.reference.deviation import NEAR, Error, contacts, missed, touching
 from teleop.analysis.precision.reference.digits import run_in_digits
 from teleop.analysis.precision.report import summary, table
-from teleop.errors import Refused
-from teleop.laws.direct import Direct
-from teleop.physics.plant import MassDamper
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.integrators.stepped import method_bodies
-from teleop.simulation.virtual import run
 from teleop.terminal.table import si
 
 Typed = Callable[..., Any]

@@ -15,23 +15,14 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from channel.delay import Delay
-from channel.link import parse_link
+from channel import Delay, parse_link
 from master.hand import Grip, Rest
-from slave.tissue import Tissue
-from slave.wall import Wall
-from teleop import Refused, Scene, load_scene, run
+from slave import Tissue, Wall
+from teleop import PFRA, At, Cap, Direct, MassDamper, Refused, Scene, Wave, load_scene, number, run
 from teleop.analysis.models.continuous import Continuous, continuous
 from teleop.analysis.models.linear import linear_scene
 from teleop.analysis.stability import report
 from teleop.analysis.stability.assess import critical, is_stable, lowest, stability, swing
-from teleop.errors import number
-from teleop.law import At
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
-from teleop.laws.wave import Wave
-from teleop.physics.plant import MassDamper
-from teleop.stages.force_cap import Cap
 from tests.fakes import Motion, Springs, law_of
 
 Typed = Callable[..., Any]

@@ -17,13 +17,11 @@ import pytest
 import teleop.analysis.zwidth.assess
 import teleop.analysis.zwidth.report
 import teleop.terminal.answer
+from teleop import Refused, Scene, load_scene
 from teleop.analysis.models.by_axis import along
 from teleop.analysis.zwidth.assess import ZWidth, assess, levers, span
 from teleop.analysis.zwidth.plane import Span
 from teleop.analysis.zwidth.report import PLOTS, format_value, numbers, ratios, summary, table
-from teleop.errors import Refused
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.storage.strict_json import write_document
 
 Typed = Callable[..., Any]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import pytest
 
 import teleop.analysis.zwidth.assess
+from teleop import Scene, load_scene
 from teleop.analysis.models.rest import FreeMotion, settled
 from teleop.analysis.zwidth.assess import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.plane import boundary, loop
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 
 
 @pytest.mark.parametrize(("knobs", "B"), [

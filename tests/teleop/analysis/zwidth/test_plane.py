@@ -10,6 +10,7 @@ import pytest
 
 import teleop.analysis.zwidth.plane
 from master.hand import Grip, Rest
+from teleop import BackwardDifference, Device, ElectricalDamping, MassDamper, Scene, VirtualWall, run
 from teleop.analysis.models.law_parts import with_gains
 from teleop.analysis.stability.assess import critical
 from teleop.analysis.zwidth.passive import passive_region
@@ -23,13 +24,6 @@ from teleop.analysis.zwidth.plane import (
     published_rule,
     rows,
 )
-from teleop.laws.virtual_wall import VirtualWall
-from teleop.physics.plant import MassDamper
-from teleop.physics.relaxing import ElectricalDamping
-from teleop.scene.scene import Scene
-from teleop.simulation.virtual import run
-from teleop.stages.device import Device
-from teleop.stages.velocity.backward_difference import BackwardDifference
 from tests.fakes import OneSpring, law_of
 
 # The spring-damper with K^2 over 1 kN/m as its stiffness.

@@ -6,12 +6,10 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from channel.link import parse_link
-from teleop.protocol.endpoint import Endpoint, Reading
+from teleop import Fixed, Hold, Playout, Reading, Scene, Watchdog, Zero
+from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, Payload, encode
-from teleop.scene.playout import Fixed, Hold, Playout, Zero
-from teleop.scene.scene import Scene
-from teleop.stages.watchdog import Watchdog
 from tests.teleop.protocol.ends import MS, START, Both, scene
 
 OURS, OTHER = 7, 700  # session numbers

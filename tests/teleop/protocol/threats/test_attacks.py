@@ -18,15 +18,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop.laws.direct import Direct
+from teleop import Cap, Direct, Fixed
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.estimates import ROUNDS
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
 from teleop.protocol.session import RENEW_NS, Session
 from teleop.protocol.states import Cause
-from teleop.scene.playout import Fixed
-from teleop.stages.force_cap import Cap
 from tests.teleop.protocol.ends import MS, START, Both, met, packet_in, scene
 from tests.teleop.protocol.threats.hands import (
     LINK,

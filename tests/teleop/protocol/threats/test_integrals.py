@@ -13,10 +13,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from channel.link import parse_link
+from teleop import Cap, Energy, Fixed, Integral
 from teleop.protocol.packet import Packet, encode
 from teleop.protocol.reception import IntegralCheck
-from teleop.scene.playout import Energy, Fixed, Integral
-from teleop.stages.force_cap import Cap
 from teleop.stages.wave_integral import Integrals
 from tests.teleop.protocol.ends import MS, ROUGH, Both, met, packet_in, scene
 from tests.teleop.protocol.threats.hands import STILL, WATCHED, at, handed_on

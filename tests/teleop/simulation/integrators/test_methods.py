@@ -12,10 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop import load_scene, run
-from teleop.errors import Refused
+from teleop import MassDamper, Plant, Refused, load_scene, run
 from teleop.physics.contact import wall
-from teleop.physics.plant import MassDamper, Plant, free_space, grip, move_free, move_gripped, spring_damper
+from teleop.physics.plant import free_space, grip, move_free, move_gripped, spring_damper
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch
 from teleop.simulation.integrators.stepped import bodies_of, method_bodies, stepped, sub_step, touch_of

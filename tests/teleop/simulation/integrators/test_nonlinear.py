@@ -12,26 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master.hand import Grip, Sine
-from slave.hunt_crossley import HuntCrossley
-from slave.moving import Moving
-from slave.standard_linear_solid import StandardLinearSolid
-from slave.tissue import Tissue
-from slave.wall import Wall
+from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
+from teleop import ElectricalDamping, MassDamper, Refused, Scene, load_scene, run
 from teleop.analysis.precision.contenders import outsider_bodies
 from teleop.analysis.precision.reference.reference import settle
-from teleop.errors import Refused
-from teleop.physics.plant import MassDamper
-from teleop.physics.relaxing import ElectricalDamping, relaxing
+from teleop.physics.relaxing import relaxing
 from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, resistance_force
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.integrators import relaxed
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch
 from teleop.simulation.integrators.nonlinear import ADVANCE, acceleration, goes, kicked
 from teleop.simulation.integrators.parts import has_closed_form
 from teleop.simulation.integrators.relaxed import Branch
 from teleop.simulation.integrators.stepped import method_bodies, stepped, sub_step
-from teleop.simulation.virtual import run
 from tests.teleop.analysis.precision.test_measure import strike
 
 KNOWN = [method for method in METHODS if goes(method)]

@@ -6,11 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from teleop.errors import Refused
-from teleop.law import find_law, known_laws
-from teleop.laws.direct import Direct
-from teleop.laws.wave import Wave
-from teleop.scene.loading import load_scene
+from teleop import Direct, Refused, Wave, find_law, load_scene
+from teleop.law import known_laws
 from teleop.studies.compare.cases import BUILT_IN, cases_of, read_comparison
 
 GOOD = """

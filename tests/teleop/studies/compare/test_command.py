@@ -12,9 +12,8 @@ from typing import Any
 import pytest
 
 import teleop.studies.compare.command as command_module
+from teleop import load_scene, run
 from teleop.__main__ import main
-from teleop.scene.loading import load_scene
-from teleop.simulation.virtual import run
 from teleop.studies.compare.command import CaseBatch, ending_of, run_batch
 from teleop.studies.margin import margin
 from teleop.studies.tune.search import LawSearch, SearchJob

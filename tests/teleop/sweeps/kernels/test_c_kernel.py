@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from scenarios.virtual_wall import scene as virtual_wall
-from teleop import Device, run
-from teleop.scene.scene import Scene
+from teleop import Device, Scene, run
 from teleop.simulation.prepared import prepare
 from teleop.sweeps.engine import kernel_of
 from teleop.sweeps.kernels import c_kernel

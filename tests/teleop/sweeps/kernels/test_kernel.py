@@ -13,8 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import pytest
 
 from scenarios.virtual_wall import scene as virtual_wall
-from slave.standard_linear_solid import StandardLinearSolid
-from slave.wall import Wall
+from slave import StandardLinearSolid, Wall
 from teleop import At, load_scene, run
 from teleop.emit.compiler import find_compiler
 from teleop.laws.direct import Back, Direct, Forth

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 import teleop.terminal.plotting
-from teleop import Refused
+from teleop import Refused, Table
 from teleop.sweeps.pictures.layout import OTHER, STATUS, spaced
 from teleop.sweeps.pictures.picture import draw
-from teleop.sweeps.table import Table
 
 figures = pytest.importorskip("matplotlib.figure")
 colors = pytest.importorskip("matplotlib.colors")

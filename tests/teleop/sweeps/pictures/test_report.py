@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from teleop import Refused, load_scene, sweep
+from teleop import Refused, Table, load_scene, sweep
 from teleop.scene.library import built_in_scenes
 from teleop.sweeps.pictures.report import (
     PictureRequest,
@@ -25,7 +25,6 @@ from teleop.sweeps.pictures.report import (
     words_of,
     write,
 )
-from teleop.sweeps.table import Table
 
 
 def call(ran: int, engine: str = "vector", **rest: Any) -> dict[str, Any]:

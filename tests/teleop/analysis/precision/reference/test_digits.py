@@ -12,14 +12,12 @@ import numpy as np
 import pytest
 
 from slave.wall import Wall
+from teleop import Scene, load_scene, run
 from teleop.analysis.precision.reference.deviation import Steps, errors
 from teleop.analysis.precision.reference.digits import Body, Equation, Motion, digit_bodies, run_in_digits
 from teleop.analysis.precision.reference.reference import settle
 from teleop.physics.sdirk import BOND, WALL
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies
-from teleop.simulation.virtual import run
 from tests.teleop.analysis.precision.test_measure import strike
 
 CLOSED = ["hard_wall", "relaxing_tissue", "beating_heart", *(pytest.param(name, marks=pytest.mark.full) for name in (

@@ -14,8 +14,8 @@ import pytest
 
 import teleop.analysis.precision.measure
 import teleop.analysis.precision.reference.truth as truth_module
-from slave.hunt_crossley import HuntCrossley
-from slave.wall import Wall
+from slave import HuntCrossley, Wall
+from teleop import MassDamper, Refused, Scene, load_scene, run
 from teleop.analysis.models.by_axis import along, own_parts
 from teleop.analysis.precision.contenders import Contender
 from teleop.analysis.precision.measure import Entry, Precision, contenders, measure, step_costs, verdicts
@@ -23,15 +23,10 @@ from teleop.analysis.precision.reference.deviation import Steps, touching
 from teleop.analysis.precision.reference.reference import reference_bodies
 from teleop.analysis.precision.reference.truth import Truth, bound_of, truth_of
 from teleop.analysis.precision.report import summary, table
-from teleop.errors import Refused
-from teleop.physics.plant import MassDamper
 from teleop.scene.library import built_in_scenes
-from teleop.scene.loading import load_scene
-from teleop.scene.scene import Scene
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.integrators.parts import has_closed_form
-from teleop.simulation.virtual import run
 from tests.teleop.analysis.precision.test_measure import entry, quick, same, strike  # noqa: F401 - a fixture
 from tests.teleop.simulation.integrators.test_nonlinear import HC, RUBBING, SCENES
 
