@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from teleop import PFRA, Direct, Fixed, Hold, Playout, Scene, Watchdog, Wave, Zero, load_scene, run, sweep
+from teleop import PFRA, Direct, Fixed, Hold, Playout, Scene, Watchdog, Wave, Zero, load_scene, run
 from teleop.simulation.source import rendered
 from tests.fakes import usually
 from tests.teleop.protocol.virtual_clock import MS, S, World, healing
@@ -80,36 +78,6 @@ def test_a_fixed_playout_longer_than_the_age_holds_no_force_and_says_so() -> Non
     result = run(growing(playout=Fixed(0.4), link=load_scene("canonical").link))
     assert (result.trace["f_s"][252:] == 0.0).all()
     assert len([note for note in result.notes if "age of 0.3 s" in note]) == 2
-
-
-FILE = '''
-from dataclasses import replace
-from channel import Delay
-from scenarios.canonical import scene as canonical
-from teleop import Law, Scene, Watchdog, Wave
-
-
-def scene(*, law: Law = Wave(), delay: float = 0.05, age: float = 0.1, duration: float = 0.6) -> Scene:
-    """A link that may be longer than the watchdog's age."""
-    return replace(canonical(law=law, delay=delay, duration=duration, wall=0.005),
-                   watchdog=Watchdog(timeout=0.1, age=age), energy=False)
-'''
-
-
-@usually("engine", ["plain", "scalar", "vector"], "scalar")
-def test_every_engine_judges_the_age_as_a_single_run_does(engine: str, tmp_path: Path) -> None:
-    (tmp_path / "aged.py").write_text(FILE)
-    laws = ["wave", "direct"] if engine == "plain" else ["wave"]
-    grid = {"law": laws, "delay": [0.02, 0.08], "age": [0.01, 0.079, 0.08, 0.3]}
-    metrics = ["g_s_min", "g_m_min", "f_s_max", "x_err_rms"]
-    table = sweep(tmp_path / "aged.py", grid, metrics=metrics, engine=engine)
-    table.to_jsonl(tmp_path / "rows.jsonl")
-    rows = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
-    assert len(rows) == 8 * len(laws)
-    for row in rows:
-        result = run(load_scene(str(tmp_path / "aged.py"), law=row["law"], delay=row["delay"], age=row["age"]))
-        assert {name: row[name] for name in metrics} == {name: result.metrics[name] for name in metrics}
-        assert (row["g_s_min"] == 0.0) == (row["age"] < row["delay"])
 
 
 # Live

@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from channel.link import parse_link
 from teleop import Cap, Direct, Fixed, Scene, Watchdog, Zero, load_scene
 from teleop.protocol.endpoint import Endpoint
 from teleop.stages.force_cap import LONGEST
-from tests.teleop.protocol.ends import MS, ROUGH, START, Both, met, reading, scene
+from tests.teleop.protocol.ends import MS, START, Both, met, reading, scene
 
 
 def blind_in(end: Endpoint, ticks: int) -> list[float]:
@@ -132,44 +131,6 @@ def test_a_small_slew_limit_holds_no_force_for_more_than_a_second_after_the_ramp
         assert over.held.over((0.0,))[0] > 0.0
         ticks += 1
     assert ticks <= most
-
-
-
-def test_the_watchdog_lets_go_when_the_peer_falls_silent_and_takes_hold_when_it_is_back() -> None:
-    dog = Watchdog(timeout=0.05, ramp=0.02, settle=0.03)
-    pressing = scene(duration=0.8, link=parse_link("delay(0.01)"), watchdog=dog)
-    both = Both(pressing, silent=lambda e, k: e == "m" and 300 <= k < 500).run()
-    gain = both.trace()["g_s"]
-    force = np.abs([f[0] for f in both.held["s"]])
-    # The last packet before the silence, number 299, is played at tick 309.
-    assert (gain[20:360] == 1.0).all()
-    assert gain[360] < 1.0
-    assert (np.diff(gain[359:380]) < 0.0).all()
-    assert (gain[380:540] == 0.0).all()  # packets are there again from tick 510 on, and settle
-    assert (force[380:540] == 0.0).all()
-    assert np.diff(gain[540:560]).min() > 0.0
-    assert (gain[561:] == 1.0).all()
-    assert force[560:].max() > 0.1
-    assert [event[:2] for event in both.ends["s"].guard.events] == [(360, "safe"), (540, "released")]
-    assert "silence" in both.ends["s"].guard.events[0].why
-
-
-def test_cap_and_slew_hold_at_every_tick() -> None:
-    limit = Cap(f_max=0.5, slew=400.0)
-    both = Both(scene(link=parse_link(ROUGH), cap=limit, playout=Zero())).run()  # whose gaps make the force jump
-    for e in "ms":
-        force = np.array([0.0, *[f[0] for f in both.held[e]]])
-        assert np.abs(force).max() == 0.5
-        assert 0.3 < np.abs(np.diff(force)).max() <= 400.0 * 1e-3 + 1e-12
-
-
-def test_where_the_scene_names_no_watchdog_a_long_silence_makes_an_end_safe_live() -> None:
-    both = Both(scene(duration=1.6, link=parse_link("delay(0.01)")), silent=lambda e, k: e == "m" and k >= 300).run()
-    guard = both.ends["s"].guard
-    force = np.array([f[0] for f in both.held["s"]])
-    assert guard.events[0].k == 309 + 801
-    assert (force[1200:] == 0.0).all()
-    assert np.abs(force[900:1100]).min() > 0.0, "until then it acts as in virtual time"
 
 
 @pytest.mark.parametrize(("playout", "played"), [(Zero(), 0.0), (Fixed(0.5), 0.5), (Fixed(2.0), 2.0)])

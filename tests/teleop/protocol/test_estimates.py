@@ -186,16 +186,6 @@ def test_minutes_of_hundreds_of_ppm_are_a_tick_or_two(
     assert abs(world.done["m"][-1].k - world.done["s"][-1].k) <= 1, "without it they would be 2.4 ticks apart"
 
 
-@pytest.mark.parametrize("way", ["m", "s"])
-def test_a_way_of_40_ms_more_moves_no_grid(way: str) -> None:
-    world = World(slow(), still=True).run(20.0)
-    before = world.end("s").session.start_ns or 0
-    world.delay[way] += 40 * MS
-    world.run(40.0)
-    assert abs((world.end("s").session.start_ns or 0) - before) < 2 * MS
-    assert world.end("s").guard.events == world.end("m").guard.events == []
-
-
 @usually("step, who", [(step, who) for step in (0.3, -0.3, 0.9, 1.3, 5.0, -5.0) for who in "ms"],
          (0.3, "m"), (-0.3, "s"), (1.3, "s"), (-5.0, "m"))
 def test_a_clock_that_is_set_makes_no_force_jump_and_they_go_on(step: float, who: str) -> None:

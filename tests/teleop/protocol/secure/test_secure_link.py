@@ -203,34 +203,6 @@ def test_a_long_silence_is_no_end(world: Callable[..., World]) -> None:
     assert SILENT_NS < 3_000 * MS
 
 
-def test_an_address_that_changes_is_followed_when_authenticated(world: Callable[..., World]) -> None:
-    two = world().run(1000)
-    stray = two.master.send(b"x" * 100) or b""
-    assert two.slave.receive(stray[:-1] + bytes((stray[-1] ^ 1,)), AWAY, two.now) == ([], [])
-    assert two.slave.address == HOME
-    two.from_ = AWAY
-    two.run(1000)
-    assert two.slave.address == AWAY
-    assert two.came[0][-1][0] > 1900
-    assert two.master.associations == 1
-
-
-def test_a_copy_from_elsewhere_draws_nothing_to_itself(world: Callable[..., World]) -> None:
-    two = world().run(1000)
-    kept = [two.master.send(bytes((i,)) * 100) or b"" for i in range(3)]
-    for data in (kept[1], kept[2]):
-        two.slave.receive(data, HOME, two.now)
-    plain, asked = two.slave.receive(kept[1], AWAY, two.now)  # a replay
-    assert plain == []
-    assert {at for _, at in asked} == {HOME, AWAY}
-    assert not two.slave.settled
-    assert two.slave.receive(kept[0], AWAY, two.now)[0] != []  # one that was held back is taken
-    two.go(1, asked)
-    two.run(200)
-    assert two.slave.settled
-    assert two.slave.address == HOME
-
-
 def test_what_is_no_record_of_the_peers_raises_no_question_wherever_it_comes_from(
     world: Callable[..., World]
 ) -> None:
@@ -241,25 +213,6 @@ def test_what_is_no_record_of_the_peers_raises_no_question_wherever_it_comes_fro
     for bad in (*changed, *(data[:length] for length in range(1, len(data))), data + b"x"):
         assert two.slave.receive(bad, AWAY, two.now) == ([], [])
     assert two.slave.settled
-
-
-def test_a_stranger_at_the_gate_changes_nothing(world: Callable[..., World], keys: list[Key]) -> None:
-    two = world().run(1000)
-    stranger = SecureLink.calling(keys[2], keys[1].fingerprint, SLAVE)
-    now = two.now
-    for i in range(600):
-        flying = [(data, AWAY) for data, _ in stranger.due(now + i * MS)]
-        while flying:
-            _, back = two.slave.receive(flying[0][0], AWAY, now + i * MS)
-            flying = flying[1:] + [(more, AWAY) for data, _ in back
-                                   for more, _ in stranger.receive(data, SLAVE, now + i * MS)[1]]
-    assert keys[2].fingerprint in (two.slave.trouble or "")
-    assert not stranger.ready
-    assert two.slave.address == HOME
-    assert two.slave.associations == 1
-    before = len(two.came[1])
-    two.run(500)
-    assert len(two.came[1]) > before + 100
 
 
 def test_each_datagram_that_is_not_taken_counts_once(world: Callable[..., World]) -> None:
