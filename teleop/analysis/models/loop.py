@@ -166,10 +166,10 @@ class Loop:
 
     def log_at(self, t: float, branch: int) -> tuple[complex, complex]:
         """The exponent and log l_j, phase unwrapped, at any parameter; kept, for searches halve the same intervals."""
-        found = self._logs.get((t, branch))
-        if found is None:
-            found = self._logs[t, branch] = self._log_at(t, branch)
-        return found
+        logs = self._logs.get((t, branch))
+        if logs is None:
+            logs = self._logs[t, branch] = self._log_at(t, branch)
+        return logs
 
     @cached_property
     def _logs(self) -> dict[tuple[float, int], tuple[complex, complex]]:
