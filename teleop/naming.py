@@ -170,14 +170,22 @@ def _arguments_of(made: type[Any]) -> dict[str, tuple[bool, bool]]:
 
 DEVICES = {  # of the master's end
     "csv": "teleop.live.devices.csv_replay:replayed_device",
+    "dynamixel": "teleop.live.devices.arms.dynamixel:dynamixel_device",
+    "feetech": "teleop.live.devices.arms.feetech:feetech_device",
+    "franka": "teleop.live.devices.arms.franka:franka_device",
     "gamepad": "teleop.live.devices.opening:gamepad",
     "haply": "master.haply:Inverse3",
+    "openarm": "teleop.live.devices.arms.openarm:openarm_device",
     "pointer": "teleop.live.devices.opening:pointer",
     "simulated": "master.device:SimulatedMaster",
 }
 ROBOTS = {  # of the slave's end
     "csv": "teleop.live.devices.csv_replay:replayed_robot",
+    "dynamixel": "teleop.live.devices.arms.dynamixel:dynamixel_robot",
+    "feetech": "teleop.live.devices.arms.feetech:feetech_robot",
+    "franka": "teleop.live.devices.arms.franka:franka_robot",
     "mujoco": "slave.mujoco_robot:MuJoCoRobot",
+    "openarm": "teleop.live.devices.arms.openarm:openarm_robot",
     "simulated": "slave.robot:SimulatedSlave",
 }
 

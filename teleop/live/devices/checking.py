@@ -22,6 +22,7 @@ from teleop.live.devices.call_watch import CallWatch
 from teleop.live.devices.device_watchdog import with_watchdog
 from teleop.live.devices.guarded_device import GuardedDevice, LiveDevice, is_simulated
 from teleop.live.devices.judging import (
+    BusTimes,
     DeviceFault,
     Mistake,
     PushedMotion,
@@ -32,6 +33,8 @@ from teleop.live.devices.judging import (
     check_repetition,
     check_sensor,
     check_velocity,
+    percentile_99,
+    times_of,
 )
 from teleop.live.devices.opening import NamedDevice, close, find_device
 from teleop.protocol.endpoint import Axes, Reading
@@ -65,10 +68,12 @@ class DeviceCheck:
     simulated: bool
     reads: int
     read_median: float
+    read_99: float  # 99 of 100 reads take no longer
     read_most: float
     hold_median: float
     hold_most: float
-    rate: float  # 1/s, by the medians
+    rate: float  # 1/s, by the medians; of a device with a bus no more than that carries
+    bus: BusTimes | None = None  # where a thread of the device does the exchanges
     pushed: tuple[float, ...] = ()  # N or N m, in each axis; empty: it was not pushed
     moved: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
@@ -179,12 +184,21 @@ class _Trial:
         if deadline is None and not watchdog:
             notes.append("it has neither a deadline nor a watchdog: the force of an end that dies stays on; see "
                          "teleop/live/devices/README.md")
+        notes += list(getattr(self.bare, "notes", ()))
+        rate, exchanges = 1.0 / max(together, 1e-9), times_of(getattr(self.bare, "bus", None))
+        if exchanges is not None:
+            carries = exchanges.carries
+            rate = min(rate, carries)
+            if carries < 1.0 / self.scene.dt:
+                notes.append(f"its bus carries {carries:,.0f} exchanges a second, and the scene ticks "
+                             f"{1 / self.scene.dt:,.0f} times: some ticks read what the one before has read; take "
+                             f"--rate {max(1, int(carries))} or less")
         return DeviceCheck(
             device=called, axes=self.scene.axes, axis_names=self.scene.axis_names,
             axis_units=self.scene.axis_units, senses=bool(self.guarded.sensor), deadline=deadline,
             watchdog=watchdog, simulated=self.simulated, reads=ticks, read_median=median(self.read_s),
-            read_most=max(self.read_s), hold_median=median(self.hold_s), hold_most=max(self.hold_s),
-            rate=1.0 / max(together, 1e-9), notes=tuple(notes))
+            read_99=percentile_99(self.read_s), read_most=max(self.read_s), hold_median=median(self.hold_s),
+            hold_most=max(self.hold_s), rate=rate, bus=exchanges, notes=tuple(notes))
 
     def _first(self) -> Reading:
         until = time.monotonic() + WAIT_S

@@ -47,10 +47,14 @@ def _report(result: DeviceCheck, e: str) -> str:
     lines = [
         f"{DEVICE_KINDS[e].word} {result.device}: {number_of(result.axes, 'axis', 'axes')}, "
         f"{'with a' if result.senses else 'without a'} force sensor{', simulated' * result.simulated}",
-        f"  read    {_time(result.read_median)} median, {_time(result.read_most)} at most, of "
-        f"{number_of(result.reads, 'call')}",
+        f"  read    {_time(result.read_median)} median, {_time(result.read_99)} for 99 of 100, "
+        f"{_time(result.read_most)} at most, of {number_of(result.reads, 'call')}",
         f"  hold    {_time(result.hold_median)} median, {_time(result.hold_most)} at most",
-        f"  rate    {result.rate:,.0f} a second, 1 / (read + hold) by the medians, measured now on this machine",
+        *([] if (bus := result.bus) is None else [
+            f"  bus     {_time(bus.median)} median, {_time(bus.most_99)} for 99 of 100, {_time(bus.most)} at most: it "
+            f"carries {bus.carries:,.0f} exchanges a second"]),
+        f"  rate    {result.rate:,.0f} a second, 1 / {'(read + hold)' if bus is None else 'exchange'} by the medians, "
+        "measured now on this machine",
         f"  force   lets go {' and '.join(lets_go) or 'not at all if this process dies'}",
     ]
     if any(result.moved):

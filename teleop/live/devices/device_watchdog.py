@@ -187,12 +187,11 @@ def _start(
     about = {"open": watchdog.open, "arguments": watchdog.arguments, "deadline": watchdog.deadline, "page": page,
              "end": os.getpid(), "device": watchdog.device or " ".join([watchdog.open, *watchdog.arguments]),
              "pipe": theirs, "folder": str(folder.absolute()), "priority": priority}
-    path = os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in (*sys.path, *scene_folders()))])
     try:
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", "teleop.live.devices.device_watchdog", json.dumps(about)],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, pass_fds=(page, theirs),
-            env={**os.environ, "PYTHONPATH": path},
+            env={**os.environ, "PYTHONPATH": module_path()},
             start_new_session=True,  # what the terminal sends the end does not reach it
         )
     except OSError as error:
@@ -202,6 +201,11 @@ def _start(
     finally:
         os.close(theirs)
     return process, ours
+
+
+def module_path() -> str:
+    """PYTHONPATH of a process beside the end, in which all is importable that is here."""
+    return os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in (*sys.path, *scene_folders()))])
 
 
 def _await(process: subprocess.Popen[bytes], page: mmap) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from itertools import pairwise
-from math import sqrt
+from math import ceil, sqrt
 from statistics import median
 
 from teleop.errors import Refused
@@ -54,6 +54,28 @@ class DeviceFault(Refused):
     def __init__(self, mistake: Mistake, sentence: str) -> None:
         super().__init__(sentence)
         self.mistake = mistake
+
+
+@dataclass(frozen=True, kw_only=True)
+class BusTimes:
+    """Times in s of an exchange with all joints on a bus, and how many a second it carries, by the median."""
+
+    median: float
+    most_99: float  # 99 of 100 exchanges take no longer
+    most: float
+    carries: float
+
+
+def times_of(bus: object) -> BusTimes | None:
+    """Return the times of the exchanges of a device's bus; None of a device without one."""
+    times = list(getattr(bus, "exchange_s", ()))
+    return BusTimes(median=median(times), most_99=percentile_99(times), most=max(times),
+                    carries=1.0 / max(median(times), 1e-9)) if times else None
+
+
+def percentile_99(times: list[float]) -> float:
+    """Return the time that 99 of 100 of these do not exceed."""
+    return sorted(times)[min(len(times) - 1, ceil(0.99 * len(times)) - 1)]
 
 
 @dataclass

@@ -1,0 +1,195 @@
+"""Feetech STS and SMS servos by the vendor's SDK: `feetech:PORT`, positions of a chain such as an SO-101.
+
+    python -m slave servo_arm --robot "feetech:/dev/ttyACM0?ids=1-6&limit=0.5" --listen 0.0.0.0:9001
+
+Numbers of the servos' table as the vendor documents it for STS and SMS. What a servo has in its permanent memory is
+read and never written: its mode, its limits of the position, its delay before an answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+try:
+    import scservo_sdk
+except ModuleNotFoundError as error:
+    raise ImportError("Feetech servos are reached by the vendor's SDK, which is not installed; type pip install "
+                      "'bilateral-teleop[feetech]', or pip install feetech-servo-sdk") from error
+from teleop.errors import DeviceError, Refused
+from teleop.live.devices.arms.servo_bus import (
+    COUNTS,
+    MOST_TIMEOUT_MS,
+    RADIANS,
+    TIMEOUT_MS,
+    ZERO,
+    LetsGo,
+    SdkChain,
+    ServoBus,
+    ServoFault,
+    TorqueArm,
+    bus_ids,
+    positions_alone,
+    rest_of,
+    watchdog_of,
+)
+from teleop.live.devices.arms.settings import for_each, ids_of, numbers, one_of, positive, settings_of, whole, within
+from teleop.live.devices.guarded_device import LiveDevice
+from teleop.protocol.endpoint import Axes
+from teleop.scene.scene import Scene
+
+EXAMPLE = "feetech:/dev/ttyACM0?ids=1-6"
+READERS = {"ids": ids_of, "baud": whole, "rate": positive, "timeout": within(1.0, MOST_TIMEOUT_MS),
+           "lets_go": one_of(*LetsGo), "limit": within(0.01, 1.0), "mode": one_of("position", "pwm"), "stall": numbers}
+FAMILIES = (8, 9)  # low byte of the model number: SMS and STS
+MODEL, RETURN_DELAY, LEAST, MODE = (3, 2), (7, 1), (9, 4), (33, 1)  # addresses and bytes of permanent numbers
+TORQUE, ACCELERATION, GOAL, PWM, LIMIT, PRESENT = (40, 1), (41, 1), (42, 2), (44, 2), (48, 2), (56, 8)
+POSITION_MODE, PWM_MODE = 0, 2
+FASTEST = 254  # acceleration: the servo itself smooths no goal
+FULL = 1000  # PWM, and limit of the torque, of 100 %
+SIGN, PWM_SIGN = 1 << 15, 1 << 10  # bits
+FLAGS = {1: "its supply voltage is out of range", 2: "its angle sensor fails", 4: "it is too hot",
+         8: "its current is too high", 32: "it is overloaded"}
+SLOW_US = 100  # that a servo waits before it answers
+
+
+class FeetechChain(SdkChain):
+    """A chain of STS or SMS servos. `stall`: N m at full PWM, in the servos' PWM mode; None: positions.
+
+    `limit`: the part of its torque that a servo uses at most; None: as it is set.
+    """
+
+    def __init__(self, port: str, ids: tuple[tuple[int, float], ...], *, baud: int = 1_000_000,
+                 timeout: float = TIMEOUT_MS,
+                 limit: float | None = None, stall: tuple[float, ...] | None = None) -> None:
+        super().__init__(scservo_sdk, scservo_sdk.PacketHandler(0), "feetech", port, baud, ids, timeout)
+        self.notes: list[str] = []
+        self._limit = limit
+        self._stall = None if stall is None else for_each("feetech's stall", stall, len(ids))
+        self._is_on = False
+        self._range = [(0, COUNTS - 1)] * len(ids)  # counts that each goal may have
+        self._counts: list[int] = []  # that were read last
+
+    def open(self) -> None:
+        """Open the port, and see that each servo answers, of which kind it is and in which mode. Moves nothing."""
+        self.connect()
+        self.find()
+        mode = POSITION_MODE if self._stall is None else PWM_MODE
+        self._range, self._counts, self.notes, self._is_on = [], [], [], False
+        delay = 0
+        for each in self.ids:
+            model = self.get(each, *MODEL)
+            if model & 0xFF not in FAMILIES:
+                raise Refused(f"servo {each} on {self.port} is of model {model}, and this driver knows the STS and SMS "
+                              "series, whose positions have 4096 steps a turn; take those")
+            if (has := self.get(each, *MODE)) != mode:
+                raise Refused(f"servo {each} on {self.port} is in mode {has}, and mode {mode} is needed; set it with "
+                              "the vendor's tool (Operating_Mode, address 33)")
+            limits = self.get(each, *LEAST)
+            least, most = limits & 0xFFFF, limits >> 16
+            self._range.append((least, most) if least < most else (0, COUNTS - 1))
+            delay = max(delay, 2 * self.get(each, *RETURN_DELAY))
+            self.put(each, *ACCELERATION, FASTEST)
+            if self._limit is not None:
+                self.put(each, *LIMIT, round(FULL * self._limit))
+        if delay > SLOW_US:
+            self.notes.append(f"its servos wait {delay} us before they answer; set Return_Delay_Time (address 7) to 0 "
+                              "with the vendor's tool for a higher rate")
+
+    def read(self) -> Axes:
+        """Read each joint's position, rad. Raises `DeviceError` where one passed the seam of its encoder."""
+        counts = [_signed(int.from_bytes(each[:2], "little"), SIGN) for each in self.get_all(*PRESENT)]
+        for servo, now, before in zip(self.ids, counts, self._counts, strict=False):
+            if abs(now - before) > COUNTS // 2:
+                raise DeviceError(f"servo {servo} on {self.port} went over the seam of its encoder, from {before} to "
+                                  f"{now} of {COUNTS}; move it back, and calibrate its middle ({ZERO}) to where the "
+                                  "joint is in the middle of its range")
+        self._counts = counts
+        return tuple([sign * (each - ZERO) * RADIANS for sign, each in zip(self.signs, counts, strict=True)])
+
+    def write(self, values: Axes) -> None:
+        """Give goals, within the limits of each servo, and switch the torque on if it is off."""
+        if self._stall is None:
+            self.put_all(*GOAL, [_pack(max(low, min(high, ZERO + round(sign * x / RADIANS))), SIGN) for x, sign, (
+                low, high) in zip(values, self.signs, self._range, strict=True)])
+        else:
+            self.put_all(*PWM, [_pack(round(FULL * max(-1.0, min(1.0, sign * each / stall))), PWM_SIGN)
+                                for each, sign, stall in zip(values, self.signs, self._stall, strict=True)])
+        if not self._is_on:
+            self.put_all(*TORQUE, [1] * len(self.ids))
+            self._is_on = True
+
+    def rest(self, how: LetsGo) -> None:
+        """Give each servo its own position as its goal, or switch its torque off; a PWM becomes 0."""
+        if self._stall is not None:
+            self.put_all(*PWM, [0] * len(self.ids))
+        elif how is LetsGo.HOLD:
+            self._counts = []
+            self.put_all(*GOAL, [_pack(max(low, min(high, ZERO + round(sign * x / RADIANS))), SIGN) for x, sign, (
+                low, high) in zip(self.read(), self.signs, self._range, strict=True)])
+            return
+        self.put_all(*TORQUE, [0] * len(self.ids))
+        self._is_on = False
+
+    def rearm(self) -> None:
+        """Do nothing: these servos have no watchdog of their line."""
+
+    def length_of(self, packet: list[int]) -> int:
+        """Return how many bytes an answer brings, beside its error and its checksum."""
+        return packet[3] - 2
+
+    def check_flags(self, servo: int, flags: int) -> None:
+        """Raise `ServoFault` for what a servo reports of itself."""
+        words = [text for bit, text in FLAGS.items() if flags & bit]
+        if words:
+            raise ServoFault(f"servo {servo} on {self.port} reports: {' and '.join(words)}; all torques are off until "
+                             "it reports nothing")
+
+
+def _signed(number: int, sign: int) -> int:
+    """Undo sign and magnitude."""
+    return -(number & ~sign) if number & sign else number
+
+
+def _pack(number: int, sign: int) -> int:
+    return -number | sign if number < 0 else number
+
+
+def feetech_bus(scene: Scene, argument: str) -> ServoBus:
+    """Open the bus that `PORT?ids=...` describes. Raises `Refused` or `DeviceError`."""
+    _, settings = settings_of("feetech", argument, READERS, EXAMPLE)
+    chain = _chain(argument, bus_ids(scene, settings, "feetech"))
+    return ServoBus(chain, lets_go=LetsGo(settings.get("lets_go", "hold")), rate=settings.get("rate"),
+                    watchdog=watchdog_of(__name__, argument, chain))
+
+
+def feetech_device(scene: Scene, argument: str) -> LiveDevice:
+    """A chain at the master's end, whose torques are against the hand."""
+    return _device(scene, argument, -1.0)
+
+
+def feetech_robot(scene: Scene, argument: str) -> LiveDevice:
+    """A chain at the slave's end."""
+    return _device(scene, argument, 1.0)
+
+
+def _device(scene: Scene, argument: str, push: float) -> LiveDevice:
+    if not {"mode", "stall"} & settings_of("feetech", argument, READERS, EXAMPLE)[1].keys():
+        raise positions_alone("feetech", "mode=pwm&stall=1.5")
+    return TorqueArm(feetech_bus(scene, argument), push, None)
+
+
+def _chain(argument: str, ids: tuple[tuple[int, float], ...]) -> FeetechChain:
+    port, settings = settings_of("feetech", argument, READERS, EXAMPLE)
+    if (settings.get("mode") == "pwm") is not ("stall" in settings):
+        raise Refused("feetech's PWM mode needs the torque at full PWM, stall= in N m, and positions need none; write "
+                      f"mode=pwm&stall=1.5, or neither: {EXAMPLE}")
+    return FeetechChain(port, ids, baud=settings.get("baud", 1_000_000),
+                          timeout=settings.get("timeout", TIMEOUT_MS), limit=settings.get("limit"),
+                        stall=settings.get("stall"))
+
+
+def letting_go(argument: str, ids: str) -> Callable[[], None]:
+    """Make the function of the watchdog process, which lets the servos go over a port of its own."""
+    chain = _chain(argument, ids_of("ids", ids))
+    chain.connect()
+    return rest_of(chain, LetsGo(settings_of("feetech", argument, READERS, EXAMPLE)[1].get("lets_go", "hold")))

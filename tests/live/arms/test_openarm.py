@@ -1,0 +1,196 @@
+"""Damiao motors by python-can, against a stand-in on its virtual bus: frames, timeouts, errors, a run by name."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from itertools import count
+from typing import Any
+
+import pytest
+
+pytest.importorskip("can", reason="the extra `openarm` is not installed")
+
+import can
+
+from teleop import DeviceError, Refused, Scene, check_device, load_scene
+from teleop.live.devices.arms.openarm import DamiaoArm, Motor, MotorState, openarm_device, openarm_robot
+from teleop.live.devices.checking import DeviceCheck
+from teleop.live.devices.judging import DeviceFault, Mistake
+from teleop.live.devices.opening import find_device
+from tests.live.arms.damiao_stand_in import Damiao
+from tests.waiting import until
+
+pytestmark = pytest.mark.live
+CHANNELS = count()
+
+
+def joints(axes: int = 2) -> Scene:
+    return load_scene("bench_top", axes=str(axes), units="rad")
+
+
+@pytest.fixture
+def motors() -> Iterator[tuple[Damiao, str]]:
+    channel = f"arm{next(CHANNELS)}"
+    made = Damiao(can.Bus(channel=channel, interface="virtual"), can.Message)
+    yield made, f"{channel}?interface=virtual"
+    made.close()
+
+
+def trouble(arm: DamiaoArm, force: tuple[float, ...] = (0.0, 0.0)) -> str:
+    """What a tick with this force says is wrong; "" while it works."""
+    time.sleep(0.001)
+    try:
+        arm.read(0)
+        arm.hold(force)
+    except DeviceError as error:
+        return str(error)
+    return ""
+
+
+def test_a_frame_has_the_bits_that_the_motors_manual_gives() -> None:
+    motor = Motor(1, 1.0, 0x11, (12.5, 30.0, 10.0))
+    assert motor.frame(0.0, 0.0) == bytes([0x80, 0x00, 0x80, 0x00, 0x00, 0x00, 0x08, 0x00])
+    assert motor.frame(10.0, 5.0)[5:] == b"\xff\xff\xff"
+    assert motor.frame(-99.0, 0.0)[6:] == b"\x00\x00"  # no more than its range
+    motor.take(bytes([0x1 << 4 | 1, 0xFF, 0xFF, 0x00, 0x0F, 0xFF, 41, 52]), 7)
+    assert (motor.x, motor.v, motor.state, motor.hottest, motor.t) == (12.5, -30.0, MotorState.ON, 52, 7)
+    motor.take(bytes([0x70, 0, 0, 0, 0, 0, 0, 0]), 8)
+    assert motor.state is MotorState.ON  # 7 is documented nowhere
+
+
+def test_an_arm_pushes_along_the_scene_and_reads_what_it_moves(
+    motors: tuple[Damiao, str], opened: Callable[..., DamiaoArm]
+) -> None:
+    stand_in, argument = motors
+    robot = opened(openarm_robot(joints(), f"{argument}&ids=1,-2&damping=0.5"))
+    assert stand_in.registers[1, 10] == bytes([1, 0, 0, 0])  # MIT mode
+    assert stand_in.registers[1, 9] == (3000).to_bytes(4, "little")  # of 50 us
+    until(lambda: trouble(robot, (0.2, 0.2)) == "" and robot.read(0).x[1] > 0.02)
+    reading = robot.read(0)
+    assert reading.x[0] > 0.0
+    assert reading.v[1] > 0.0
+    assert reading.f is None
+    assert stand_in.torque[1] == pytest.approx(0.2, abs=10 / 4095)
+    assert stand_in.torque[2] == pytest.approx(-0.2, abs=10 / 4095)
+    assert stand_in.kd[1] == pytest.approx(0.5, abs=5 / 4095)
+    robot.close()
+    until(lambda: not any(stand_in.on.values()))
+    device = opened(openarm_device(joints(), f"{argument}&limit=0.1,1"))
+    until(lambda: trouble(device, (0.5, 0.5)) == "" and stand_in.torque[2] < -0.49)
+    assert stand_in.torque[1] == pytest.approx(-0.1, abs=10 / 4095)
+
+
+def test_a_motor_that_heard_nothing_lets_go_and_is_switched_on_again_without_a_torque(
+    motors: tuple[Damiao, str], opened: Callable[..., DamiaoArm]
+) -> None:
+    stand_in, argument = motors
+    robot = opened(openarm_robot(joints(), argument))
+    until(lambda: trouble(robot, (0.2, 0.2)) == "" and stand_in.torque[1] > 0.1)
+    until(lambda: not any(stand_in.on.values()), "its own timeout never ended its torque")
+    words = "was told nothing for too long and let go (45 degrees Celsius)"
+    until(lambda: words in trouble(robot))
+    with pytest.raises(DeviceError, match="was told nothing"):
+        robot.hold((0.2, 0.2))
+    assert abs(stand_in.torque[1]) < 0.2
+    until(lambda: not trouble(robot), "it was never switched on again")
+
+
+@pytest.mark.parametrize(("state", "words"), [(0xB, "has too hot a driver"), (0xC, "has too hot a coil"),
+                                              (0xE, "is overloaded"), (0xA, "draws too much current")])
+def test_an_error_of_a_motor_is_one_sentence_and_no_torque(
+    state: int, words: str, motors: tuple[Damiao, str], opened: Callable[..., DamiaoArm]
+) -> None:
+    stand_in, argument = motors
+    robot = opened(openarm_robot(joints(), argument))
+    until(lambda: not trouble(robot, (0.2, 0.2)))
+    stand_in.errors[2] = state
+    until(lambda: trouble(robot, (0.2, 0.2)) == f"motor 2 on {argument.partition('?')[0]} {words} (45 degrees Celsius)")
+    with pytest.raises(DeviceError):
+        robot.hold((0.2, 0.2))
+    until(lambda: abs(stand_in.torque[1]) < 0.01)
+
+
+def test_a_motor_that_is_silent_or_another_one_is_named(
+    motors: tuple[Damiao, str], opened: Callable[..., DamiaoArm]
+) -> None:
+    stand_in, argument = motors
+    robot = opened(openarm_robot(joints(), argument))
+    until(lambda: not trouble(robot))
+    stand_in.silent.add(2)
+    channel = argument.partition("?")[0]
+    until(lambda: trouble(robot) == f"motor 2 on {channel} does not answer; see to its power and its cable")
+    stand_in.silent.clear()
+    until(lambda: not trouble(robot))
+    for text, words in (("&ids=1,3", "motor 3 on .* does not answer from id 0x13"),
+                        ("&answers=32", "motor 1 on .* does not answer from id 0x21")):
+        with pytest.raises(DeviceError, match=words):
+            openarm_robot(joints(), argument + text)
+    stand_in.errors[1] = 0xB
+    with pytest.raises(DeviceError, match=r"motor 1 on .* has too hot a driver"):
+        openarm_robot(joints(), argument)
+    stand_in.errors.clear()
+    stand_in.registers[1, 23] = bytes(4)
+    with pytest.raises(Refused, match="0 N m; set PMAX, VMAX and TMAX"):
+        openarm_robot(joints(), argument)
+
+
+def test_a_bus_that_takes_no_frame_is_a_sentence(motors: tuple[Damiao, str]) -> None:
+    class Full:
+        """A bus without a cable: the adapter's queue is full."""
+
+        def __init__(self, **options: Any) -> None:
+            self.bus, self.is_full = can.Bus(channel=options["channel"], interface="virtual"), False
+
+        def send(self, message: Any) -> None:
+            if self.is_full:
+                raise can.CanOperationError("Transmit buffer full")
+            self.bus.send(message)
+
+        def recv(self, timeout: float) -> Any:
+            return self.bus.recv(timeout)
+
+        def shutdown(self) -> None:
+            self.bus.shutdown()
+
+    arm = DamiaoArm(joints(), motors[1], 1.0, open_bus=Full)
+    until(lambda: not trouble(arm))
+    arm._bus.is_full = True
+    words = "takes no frame (Transmit buffer full); see to its cable and its termination"
+    assert words in trouble(arm)
+    with pytest.raises(DeviceError, match="takes no frame"):
+        arm.hold((0.0, 0.0))
+    with pytest.raises(DeviceError, match="takes no frame"):
+        arm.close()
+
+
+@pytest.mark.parametrize(("text", "error", "words"), [
+    ("openarm:can77", DeviceError, r"the CAN bus can77 cannot be opened .*; bring it up with: ip link set can77 up"),
+    ("openarm:can77?fd=1", DeviceError, "dbitrate 5000000 fd on"),
+    ("openarm:can77?fd=2", Refused, "fd is 0 or 1, not '2'"),
+    ("openarm:can77?damping=9", Refused, "damping must be at most 5"),
+    ("openarm:can77?limit=1,2,3", Refused, "limit has 3 numbers, and there are 2 joints"),
+])
+def test_what_cannot_be_opened_says_what_to_type(text: str, error: type[Exception], words: str) -> None:
+    with pytest.raises(Refused, match=words):  # a device that does not open is a refusal of the request
+        find_device("s", text).open(joints())
+    with pytest.raises(error, match=words):
+        openarm_robot(joints(), text.removeprefix("openarm:"))
+
+
+def test_the_check_pushes_it_along_each_joint(motors: tuple[Damiao, str]) -> None:
+    found: list[DeviceCheck] = []
+
+    def checked() -> bool:
+        """True as soon as no answer was late on a busy machine."""
+        try:
+            found.append(check_device(f"openarm:{motors[1]}", joints(), push=True, force=0.1, ticks=200))
+        except DeviceFault as fault:
+            if fault.mistake is not Mistake.UNREAD:
+                raise
+        return bool(found)
+
+    until(checked)
+    result = found[0]
+    assert all(by > 0.0 for by in result.moved)
+    assert result.deadline == 0.15
