@@ -111,9 +111,15 @@ def test_a_servo_that_is_too_hot_makes_the_chain_limp_until_it_is_cool(
     servos.flags[2] = flags
     until(lambda: f"servo 2 on {servos.port} reports: {words}; all torques are off" in trouble(bus))
     until(lambda: not any(servos.get(each, servos.torque, 1) for each in (1, 2)), "it was never limp")
+    switched: list[int] = []
+    servos.moves = lambda servo, table: switched.append(servo) if table[servos.torque] else None
+    for _ in range(50):  # an end goes on giving goals while it is safe
+        with pytest.raises(DeviceError):
+            bus.goal((0.1, 0.1))
+        time.sleep(0.002)
+    assert not switched
     servos.flags.clear()
     until(lambda: not trouble(bus))
-    assert not any(servos.get(each, servos.torque, 1) for each in (1, 2))  # nobody has asked for anything yet
     until(drives)
 
 
@@ -337,3 +343,29 @@ def test_a_tick_that_hangs_lets_go_within_the_lapse(opened: Callable[..., Any]) 
     until(pushes)
     time.sleep(LAPSE_NS / 1e9)
     until(lambda: servos.get(1, 102, 2) == 0)
+
+
+def test_a_live_run_with_servos_by_name(opened: Callable[..., Any], command: Callable[..., Any], tmp_path: Any) -> None:
+    """The hand of a simulated master moves; the torques of the law reach the servos, and are off in the end."""
+    torques: list[int] = []
+    servos = opened(Dynamixel((1, 2), moves=lambda _servo, table: torques.append(
+        int.from_bytes(table[102:104], "little", signed=True))))
+    knobs = ("--set", "axes=2", "--set", "units=rad", "--set", "duration=2", "--rate", "100", "--json")
+    slave = command("slave", "bench_top", *knobs, "--listen", "127.0.0.1:0", "--out", "slave", "--robot",
+                    f"dynamixel:{servos.port}?mode=current&kt=1.78&timeout=80")
+    master = command("master", "bench_top", *knobs, "--peer", f"127.0.0.1:{slave.port()}", "--out", "master",
+                     "--device", "csv:" + str(_reach(tmp_path)))
+    for end in (master, slave):
+        code, _, err = end.end()
+        assert code == 0, err
+        assert "holds its last force" not in err
+    assert max(map(abs, torques)) > 5, "the law never pushed"
+    assert [servos.get(each, 64, 1) for each in (1, 2)] == [0, 0]
+    assert [servos.get(each, 102, 2) for each in (1, 2)] == [0, 0]
+
+
+def _reach(folder: Any) -> Any:
+    """A recorded motion of both joints, to 0.3 rad in a second."""
+    path = folder / "reach.csv"
+    path.write_text("t,x,y\n" + "".join(f"{i / 100},{min(i, 100) * 3e-3},{-min(i, 100) * 3e-3}\n" for i in range(300)))
+    return path

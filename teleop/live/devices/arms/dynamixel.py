@@ -19,20 +19,17 @@ except ModuleNotFoundError as error:
     raise ImportError("Dynamixel servos are reached by ROBOTIS' SDK, which is not installed; type pip install "
                       "'bilateral-teleop[dynamixel]', or pip install dynamixel-sdk") from error
 from teleop.errors import DeviceError, Refused
+from teleop.live.devices.arms.sdk_chain import SdkChain, bus_ids, rest_of, watchdog_of
 from teleop.live.devices.arms.servo_bus import (
     MOST_TIMEOUT_MS,
     RADIANS,
     TIMEOUT_MS,
     ZERO,
     LetsGo,
-    SdkChain,
     ServoBus,
     ServoFault,
     TorqueArm,
-    bus_ids,
     positions_alone,
-    rest_of,
-    watchdog_of,
 )
 from teleop.live.devices.arms.settings import for_each, ids_of, numbers, one_of, positive, settings_of, whole, within
 from teleop.protocol.endpoint import Axes
@@ -82,27 +79,27 @@ class DynamixelChain(SdkChain):
         self._bounds, self._units, self.notes, self._is_on = [], [], [], False
         delay = 0
         for i, each in enumerate(self.ids):
-            model = self.get(each, *MODEL)
+            model = self.read_register(each, *MODEL)
             unit = UNIT_MA.get(model) if self._unit is None else self._unit[i]
             if unit is None:
                 raise Refused(f"servo {each} on {self.port} is of model {model}, whose unit of the current is not "
                               "known here; type the mA that its manual has for Goal Current, for example ?unit=2.69")
-            most = self.get(each, *MOST_CURRENT)
+            most = self.read_register(each, *MOST_CURRENT)
             self._units.append(unit / 1e3)
             self._bounds.append(most if self._limit is None else min(most, round(self._limit[i] / (unit / 1e3))))
-            delay = max(delay, 2 * self.get(each, *RETURN_DELAY))
+            delay = max(delay, 2 * self.read_register(each, *RETURN_DELAY))
             mode = POSITION_MODE if self._kt is None else CURRENT_MODE
-            self.put(each, *WATCHDOG, 0)  # clears what it may have noted of an earlier run
-            if self.get(each, *MODE) != mode:
-                self.put(each, *TORQUE, 0)
-                self.put(each, *MODE, mode)
+            self.write_register(each, *WATCHDOG, 0)  # clears what it may have noted of an earlier run
+            if self.read_register(each, *MODE) != mode:
+                self.write_register(each, *TORQUE, 0)
+                self.write_register(each, *MODE, mode)
         if delay > SLOW_US:
             self.notes.append(f"its servos wait {delay} us before they answer; set Return Delay Time (address 9) to 0 "
                               "with the vendor's tool for a higher rate")
 
     def read(self) -> Axes:
         """Read each joint's position, rad."""
-        counts = [int.from_bytes(each, "little", signed=True) for each in self.get_all(*PRESENT)]
+        counts = [int.from_bytes(each, "little", signed=True) for each in self.read_block(*PRESENT)]
         return tuple([sign * (each - ZERO) * RADIANS for sign, each in zip(self.signs, counts, strict=True)])
 
     def write(self, values: Axes) -> None:
@@ -110,35 +107,36 @@ class DynamixelChain(SdkChain):
         self._give(values)
         if not self._is_on:
             if self._kt is None:
-                self.put_all(*CURRENT, self._bounds)
-            self.put_all(*TORQUE, [1] * len(self.ids))
-            self.put_all(*WATCHDOG, [WATCHDOG_UNITS] * len(self.ids))
+                self.write_all(*CURRENT, self._bounds)
+            self.write_all(*TORQUE, [1] * len(self.ids))
+            self.write_all(*WATCHDOG, [WATCHDOG_UNITS] * len(self.ids))
             self._is_on = True
             self._give(values)  # a servo that was off may have set its goal to where it is
 
     def _give(self, values: Axes) -> None:
         if self._kt is None:
-            self.put_all(*GOAL, [ZERO + round(sign * x / RADIANS) for x, sign in zip(values, self.signs, strict=True)])
+            self.write_all(*GOAL, [ZERO + round(sign * x / RADIANS) for sign, x in zip(
+                self.signs, values, strict=True)])
             return
         counts = [round(sign * each / kt / unit) for each, sign, kt, unit in zip(
             values, self.signs, self._kt, self._units, strict=True)]
-        self.put_all(*CURRENT, [max(-most, min(most, each)) for each, most in zip(counts, self._bounds, strict=True)])
+        self.write_all(*CURRENT, [max(-most, min(most, each)) for each, most in zip(counts, self._bounds, strict=True)])
 
     def rest(self, how: LetsGo) -> None:
         """Give each servo its own position as its goal, or switch its torque off; a current becomes 0."""
         if self._kt is not None:
-            self.put_all(*CURRENT, [0] * len(self.ids))
+            self.write_all(*CURRENT, [0] * len(self.ids))
         elif how is LetsGo.HOLD:
             self._give(self.read())
             return
-        self.put_all(*TORQUE, [0] * len(self.ids))
+        self.write_all(*TORQUE, [0] * len(self.ids))
         self._is_on = False
 
     def rearm(self) -> None:
         """Clear the Bus Watchdog, which may have stopped the servos in a pause of the line, and arm it again."""
-        self.put_all(*WATCHDOG, [0] * len(self.ids))
+        self.write_all(*WATCHDOG, [0] * len(self.ids))
         if self._is_on:
-            self.put_all(*WATCHDOG, [WATCHDOG_UNITS] * len(self.ids))
+            self.write_all(*WATCHDOG, [WATCHDOG_UNITS] * len(self.ids))
 
     def length_of(self, packet: list[int]) -> int:
         """Return how many bytes an answer brings, beside its instruction, its error and its checksum."""
@@ -155,7 +153,7 @@ class DynamixelChain(SdkChain):
         if flags:
             raise DeviceError(f"servo {servo} on {self.port} {ERRORS.get(flags, f'answered with error {flags}')}")
 
-    def _sync_read_more(self) -> tuple[Any, ...]:
+    def _sync_read_rest(self) -> tuple[Any, ...]:
         return (False,)  # one status packet from each servo
 
 

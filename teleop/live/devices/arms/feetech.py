@@ -16,6 +16,7 @@ except ModuleNotFoundError as error:
     raise ImportError("Feetech servos are reached by the vendor's SDK, which is not installed; type pip install "
                       "'bilateral-teleop[feetech]', or pip install feetech-servo-sdk") from error
 from teleop.errors import DeviceError, Refused
+from teleop.live.devices.arms.sdk_chain import SdkChain, bus_ids, rest_of, watchdog_of
 from teleop.live.devices.arms.servo_bus import (
     COUNTS,
     MOST_TIMEOUT_MS,
@@ -23,14 +24,10 @@ from teleop.live.devices.arms.servo_bus import (
     TIMEOUT_MS,
     ZERO,
     LetsGo,
-    SdkChain,
     ServoBus,
     ServoFault,
     TorqueArm,
-    bus_ids,
     positions_alone,
-    rest_of,
-    watchdog_of,
 )
 from teleop.live.devices.arms.settings import for_each, ids_of, numbers, one_of, positive, settings_of, whole, within
 from teleop.live.devices.guarded_device import LiveDevice
@@ -77,27 +74,27 @@ class FeetechChain(SdkChain):
         self._range, self._counts, self.notes, self._is_on = [], [], [], False
         delay = 0
         for each in self.ids:
-            model = self.get(each, *MODEL)
+            model = self.read_register(each, *MODEL)
             if model & 0xFF not in FAMILIES:
                 raise Refused(f"servo {each} on {self.port} is of model {model}, and this driver knows the STS and SMS "
                               "series, whose positions have 4096 steps a turn; take those")
-            if (has := self.get(each, *MODE)) != mode:
+            if (has := self.read_register(each, *MODE)) != mode:
                 raise Refused(f"servo {each} on {self.port} is in mode {has}, and mode {mode} is needed; set it with "
                               "the vendor's tool (Operating_Mode, address 33)")
-            limits = self.get(each, *LEAST)
+            limits = self.read_register(each, *LEAST)
             least, most = limits & 0xFFFF, limits >> 16
             self._range.append((least, most) if least < most else (0, COUNTS - 1))
-            delay = max(delay, 2 * self.get(each, *RETURN_DELAY))
-            self.put(each, *ACCELERATION, FASTEST)
+            delay = max(delay, 2 * self.read_register(each, *RETURN_DELAY))
+            self.write_register(each, *ACCELERATION, FASTEST)
             if self._limit is not None:
-                self.put(each, *LIMIT, round(FULL * self._limit))
+                self.write_register(each, *LIMIT, round(FULL * self._limit))
         if delay > SLOW_US:
             self.notes.append(f"its servos wait {delay} us before they answer; set Return_Delay_Time (address 7) to 0 "
                               "with the vendor's tool for a higher rate")
 
     def read(self) -> Axes:
         """Read each joint's position, rad. Raises `DeviceError` where one passed the seam of its encoder."""
-        counts = [_signed(int.from_bytes(each[:2], "little"), SIGN) for each in self.get_all(*PRESENT)]
+        counts = [_signed(int.from_bytes(each[:2], "little"), SIGN) for each in self.read_block(*PRESENT)]
         for servo, now, before in zip(self.ids, counts, self._counts, strict=False):
             if abs(now - before) > COUNTS // 2:
                 raise DeviceError(f"servo {servo} on {self.port} went over the seam of its encoder, from {before} to "
@@ -109,29 +106,29 @@ class FeetechChain(SdkChain):
     def write(self, values: Axes) -> None:
         """Give goals, within the limits of each servo, and switch the torque on if it is off."""
         if self._stall is None:
-            self.put_all(*GOAL, [_pack(max(low, min(high, ZERO + round(sign * x / RADIANS))), SIGN) for x, sign, (
+            self.write_all(*GOAL, [_pack(max(low, min(high, ZERO + round(sign * x / RADIANS))), SIGN) for x, sign, (
                 low, high) in zip(values, self.signs, self._range, strict=True)])
         else:
-            self.put_all(*PWM, [_pack(round(FULL * max(-1.0, min(1.0, sign * each / stall))), PWM_SIGN)
+            self.write_all(*PWM, [_pack(round(FULL * max(-1.0, min(1.0, sign * each / stall))), PWM_SIGN)
                                 for each, sign, stall in zip(values, self.signs, self._stall, strict=True)])
         if not self._is_on:
-            self.put_all(*TORQUE, [1] * len(self.ids))
+            self.write_all(*TORQUE, [1] * len(self.ids))
             self._is_on = True
 
     def rest(self, how: LetsGo) -> None:
         """Give each servo its own position as its goal, or switch its torque off; a PWM becomes 0."""
         if self._stall is not None:
-            self.put_all(*PWM, [0] * len(self.ids))
+            self.write_all(*PWM, [0] * len(self.ids))
         elif how is LetsGo.HOLD:
             self._counts = []
-            self.put_all(*GOAL, [_pack(max(low, min(high, ZERO + round(sign * x / RADIANS))), SIGN) for x, sign, (
+            self.write_all(*GOAL, [_pack(max(low, min(high, ZERO + round(sign * x / RADIANS))), SIGN) for x, sign, (
                 low, high) in zip(self.read(), self.signs, self._range, strict=True)])
             return
-        self.put_all(*TORQUE, [0] * len(self.ids))
+        self.write_all(*TORQUE, [0] * len(self.ids))
         self._is_on = False
 
     def rearm(self) -> None:
-        """Do nothing: these servos have no watchdog of their line."""
+        """Nothing: these servos have no watchdog of their line."""
 
     def length_of(self, packet: list[int]) -> int:
         """Return how many bytes an answer brings, beside its error and its checksum."""

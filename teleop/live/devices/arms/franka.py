@@ -45,6 +45,7 @@ LAPSE_NS = 100_000_000  # a force that was not renewed is let go of
 STALE_NS = 20_000_000  # a state is no longer where the arm is
 START_S, END_S = 20.0, 3.0  # for the robot to be reached, and for the process to end
 AGAIN_S = 0.25  # between two attempts to go on after a lost connection
+TRIES = 1000  # to read a state that is being written
 SLEW = 0.9  # N m in a millisecond; the robot takes 1 at most
 PRIORITY = 80  # asked for under SCHED_FIFO
 
@@ -112,17 +113,18 @@ class FrankaArm:
     def read(self, k: int) -> Reading:
         """Newest state, at most some milliseconds old. Raises `DeviceError` where there is none."""
         words, reals, n = self._words, self._reals, len(self._limits)
-        while True:
+        whole = False
+        for _ in range(TRIES):
             before = words[STATES]
             x, v = tuple(reals[X:X + n]), tuple(reals[V:V + n])
-            if before % 2 == 0 and words[STATES] == before:
+            if whole := before % 2 == 0 and words[STATES] == before:
                 break
         if self._process.poll() is not None:
             raise DeviceError(f"the process that drives the Franka at {self.host} ended"
                               f"{f': {self._trouble()}' if words[TROUBLE] else ''}")
         if words[TROUBLE]:
             raise DeviceError(f"the Franka at {self.host} stopped: {self._trouble()}")
-        if monotonic_ns() - words[STAMP] > STALE_NS:
+        if not whole or monotonic_ns() - words[STAMP] > STALE_NS:
             raise DeviceError(f"the Franka at {self.host} gave no state for {STALE_NS / 1e6:g} ms")
         return Reading(x, v)
 

@@ -22,8 +22,8 @@ try:
 except ModuleNotFoundError as error:
     raise ImportError("Damiao motors are reached by python-can, which is not installed; type pip install "
                       "'bilateral-teleop[openarm]', or pip install python-can") from error
-from teleop.errors import DeviceError, Refused
-from teleop.live.devices.arms.servo_bus import bus_ids
+from teleop.errors import DeviceError, Refused, number_of
+from teleop.live.devices.arms.sdk_chain import bus_ids
 from teleop.live.devices.arms.settings import for_each, ids_of, numbers, one_of, settings_of, within
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.protocol.guard import DEADLINE
@@ -44,6 +44,7 @@ SILENT_NS = 34_000_000  # without an answer a motor is lost
 OPEN_S = 0.1  # for an answer before the run
 RETRY_NS = 250_000_000  # between two attempts to switch a motor on again
 MOST_FRAMES = 64  # at one tick
+FRAME_S = {False: 135e-6, True: 60e-6}  # on the bus at 1 Mbit/s, all bits stuffed; as CAN FD with 5 Mbit/s of data
 
 
 class MotorState(IntEnum):
@@ -70,7 +71,7 @@ AGAIN = (MotorState.OFF, MotorState.SILENCE)  # a motor in one of these is switc
 
 
 @dataclass
-class Motor:
+class DamiaoMotor:
     """State of one motor. Its ranges are those of its registers PMAX (rad), VMAX (rad/s) and TMAX (N m)."""
 
     id: int
@@ -119,8 +120,8 @@ class DamiaoArm:
         """Raises `Refused` for what it cannot drive, `DeviceError` if a motor does not answer."""
         self.channel, settings = settings_of("openarm", argument, READERS, EXAMPLE)
         ids = bus_ids(scene, settings, "openarm")
-        more = round(settings.get("answers", ANSWERS))
-        self._motors = [Motor(each, sign, each + more) for each, sign in ids]
+        above = round(settings.get("answers", ANSWERS))
+        self._motors = [DamiaoMotor(each, sign, each + above) for each, sign in ids]
         self._by_answer = {motor.answers: motor for motor in self._motors}
         self._damping: float = settings.get("damping", 0.0)
         self._limits: tuple[float, ...] | None = None
@@ -128,6 +129,11 @@ class DamiaoArm:
             self._limits = for_each("openarm's limit", settings["limit"], len(ids))
         self._fd, self._push, self._clock = settings.get("fd") == "1", push, clock
         self._torques = (0.0,) * len(ids)
+        self.notes = []
+        if (takes := 2 * len(ids) * FRAME_S[self._fd]) > scene.dt:
+            self.notes.append(f"the frames of {number_of(len(ids), 'motor')} take up to {takes * 1e3:.2g} ms of the "
+                              f"bus and a tick {scene.dt * 1e3:g} ms: take --rate {int(1 / takes)}"
+                              f"{'' if self._fd else ', or CAN FD by ?fd=1'}")
         self._sent = False  # since the last reading
         self._retry = 0
         self._why: str | None = None
@@ -185,7 +191,7 @@ class DamiaoArm:
         finally:
             self._bus.shutdown()
 
-    def _report(self, motor: Motor) -> str:
+    def _report(self, motor: DamiaoMotor) -> str:
         return f"motor {motor.id} on {self.channel} {TEXT[motor.state]} ({motor.hottest} degrees Celsius)"
 
     def _command(self) -> None:
@@ -224,7 +230,7 @@ class DamiaoArm:
                 for order in (CLEAR, ENABLE):
                     self._send(motor.id, bytes([0xFF] * 7 + [order]))
 
-    def _set_up(self, motor: Motor) -> None:
+    def _set_up(self, motor: DamiaoMotor) -> None:
         """Read a motor's ranges, set its mode and its timeout, and switch it on without a torque."""
         p, v, t = (self._register(motor, each, "<f") for each in (PMAX, VMAX, TMAX))
         motor.ranges = p, v, t
@@ -244,7 +250,7 @@ class DamiaoArm:
         if motor.state is not MotorState.ON:
             raise DeviceError(self._report(motor))
 
-    def _register(self, motor: Motor, register: int, form: str, value: int | None = None) -> Any:
+    def _register(self, motor: DamiaoMotor, register: int, form: str, value: int | None = None) -> Any:
         """Read a register, or write `value` to it, and return what the motor answers. Raises `DeviceError`."""
         data = struct.pack("<HBB", motor.id, READ if value is None else WRITE, register) + (
             bytes(4) if value is None else struct.pack(form, value))

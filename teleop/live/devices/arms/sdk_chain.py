@@ -1,0 +1,194 @@
+"""Servos that a vendor's SDK speaks to over a serial port, with every answer checked.
+
+The SDKs of Feetech and ROBOTIS have the same calls. Neither checks the length of an answer, and Feetech's drops no late
+one: both are done here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from time import sleep
+from typing import Any
+
+from teleop.errors import DeviceError, Refused, number_of
+from teleop.live.devices.arms.servo_bus import TIMEOUT_MS, LetsGo, ServoChain, error_text
+from teleop.live.devices.device_watchdog import DeviceWatchdog
+from teleop.scene.scene import Scene
+
+TerminalError: type[Exception] = OSError
+with suppress(ImportError):  # of a system without terminals
+    import termios
+
+    TerminalError = termios.error
+PIECE_S = 0.002  # that a read waits in the system; the SDKs themselves look again and again without a pause
+REPEATS = 3  # of what nobody answers
+
+
+def watchdog_of(driver: str, argument: str, chain: SdkChain) -> DeviceWatchdog:
+    """Make the watchdog of a chain: `letting_go` of its driver's module, in a process and on a port of its own."""
+    return DeviceWatchdog(open=f"{driver}:letting_go", arguments=(argument, chain.signed_ids),
+                          device=f"{chain.name} {chain.port}")
+
+
+def rest_of(chain: ServoChain, lets_go: LetsGo) -> Callable[[], None]:
+    """Make the function of the watchdog process; servos that cannot be read go limp.
+
+    It repeats itself: half a packet of an end that was killed makes servos lose the first that follows it.
+    """
+    def let_go() -> None:
+        for _ in range(REPEATS):
+            chain.rearm()
+            try:
+                chain.rest(lets_go)
+            except DeviceError:
+                chain.rest(LetsGo.LIMP)
+            sleep(PIECE_S)
+
+    return let_go
+
+
+class SdkChain:
+    """Servos on one port that a vendor's SDK speaks to, every answer checked. `sdk`: its module."""
+
+    def __init__(self, sdk: Any, packets: Any, name: str, port: str, baud: int,
+                 ids: tuple[tuple[int, float], ...], timeout_ms: float = TIMEOUT_MS) -> None:
+        self.name, self.port, self.baud, self.timeout_ms = name, port, baud, timeout_ms
+        self.ids, self.signs = tuple(each for each, _ in ids), tuple(sign for _, sign in ids)
+        self._sdk, self._packets, self._handler = sdk, packets, sdk.PortHandler(port)
+        self._packet: list[int] = []  # that came last
+        receive = packets.rxPacket
+
+        def receive_packet(*arguments: Any) -> tuple[list[int], int]:
+            self._packet, result = receive(*arguments)
+            return self._packet, result
+
+        packets.rxPacket = receive_packet
+        self._handler.setPacketTimeout = lambda length: self._handler.setPacketTimeoutMillis(
+            self._handler.tx_time_per_byte * length + timeout_ms)
+
+    @property
+    def signed_ids(self) -> str:
+        """The ids as they are typed."""
+        return ",".join(f"{'-' if sign < 0 else ''}{each}" for each, sign in zip(self.ids, self.signs, strict=True))
+
+    def connect(self) -> None:
+        """Open the port. Raises `Refused` or `DeviceError`."""
+        try:
+            if not self._handler.setBaudRate(self.baud):
+                raise Refused(f"{self.name} has no baud rate {self.baud}; its own is 1000000: leave ?baud= out")
+        except OSError as error:
+            raise DeviceError(f"{self.port} cannot be opened ({error_text(error)}); name the port of the adapter, for "
+                              f"example {self.name}:/dev/ttyACM0, and see that you may write to it (group dialout)"
+                              ) from error
+        self._handler.ser.timeout = PIECE_S
+        self._handler.is_using = False
+
+    def close(self) -> None:
+        """Close the port; nothing if it is closed."""
+        if self._handler.ser is not None:
+            self._handler.ser.close()
+
+    def find(self) -> None:
+        """See that each servo answers. Raises `DeviceError` with the ids that do."""
+        for each in self.ids:
+            try:
+                self.read_register(each, 0, 1)
+            except DeviceError as error:
+                answering = [one for one in range(1, 13) if one != each and self._answers(one)]
+                raise DeviceError(f"{error}; " + (
+                    f"those that answer at {self.baud} baud among 1 to 12 are {', '.join(map(str, answering))}: name "
+                    "them by ?ids=" if answering else f"nor does any other of 1 to 12 at {self.baud} baud: see to its "
+                    "power and its cable, or type ?baud=")) from None
+
+    def _answers(self, servo: int) -> bool:
+        try:
+            self.read_register(servo, 0, 1)
+        except DeviceError:
+            return False
+        return True
+
+    def read_register(self, servo: int, address: int, length: int) -> int:
+        """Read one number of a servo's table."""
+        data, result, flags = self._calling(
+            servo, lambda: self._packets.readTxRx(self._handler, servo, address, length), clear=True)
+        return int.from_bytes(self._checked(servo, data, result, flags, length), "little")
+
+    def write_register(self, servo: int, address: int, length: int, value: int) -> None:
+        """Write one number of a servo's table, and see that it was taken."""
+        data = list((value % (1 << 8 * length)).to_bytes(length, "little"))
+        result, flags = self._calling(
+            servo, lambda: self._packets.writeTxRx(self._handler, servo, address, length, data), clear=True)
+        self._checked(servo, b"", result, flags, 0)
+
+    def read_block(self, address: int, length: int) -> list[bytes]:
+        """Read a piece of every servo's table with one request."""
+        rest = self._sync_read_rest()
+        result = self._calling(self.ids[0], lambda: self._packets.syncReadTx(
+            self._handler, address, length, list(self.ids), len(self.ids), *rest), clear=True)
+        if result != self._sdk.COMM_SUCCESS:
+            raise DeviceError(f"{self.port} did not take a request of {self.name}")
+        return [self._take(each, length) for each in self.ids]
+
+    def _take(self, servo: int, length: int) -> bytes:
+        """Take the answer of one servo to a request to all."""
+        data, result, flags = self._calling(servo, lambda: self._packets.readRx(self._handler, servo, length))
+        return self._checked(servo, data, result, flags, length)
+
+    def write_all(self, address: int, length: int, values: list[int]) -> None:
+        """Write a number of every servo's table with one packet, which none answers."""
+        packed: list[int] = []
+        for each, value in zip(self.ids, values, strict=True):
+            packed += [each, *(value % (1 << 8 * length)).to_bytes(length, "little")]
+        result = self._calling(self.ids[0], lambda: self._packets.syncWriteTxOnly(
+            self._handler, address, length, packed, len(packed)))
+        if result != self._sdk.COMM_SUCCESS:
+            raise DeviceError(f"{self.port} did not take a command of {self.name}")
+
+    def _sync_read_rest(self) -> tuple[Any, ...]:
+        """Further arguments of the SDK's sync read."""
+        return ()
+
+    def _calling(self, servo: int, call: Callable[[], Any], *, clear: bool = False) -> Any:
+        """Call the SDK. `clear`: drop a late answer to an earlier request, which would be taken for one to this."""
+        try:
+            if clear:
+                self._handler.ser.reset_input_buffer()
+            return call()
+        except TerminalError as error:
+            raise OSError(*error.args) from error
+        except IndexError:  # of a status packet that is shorter than the SDK believes
+            raise DeviceError(f"servo {servo} on {self.port} answered with a packet that is too short") from None
+        finally:
+            self._handler.is_using = False
+
+    def _checked(self, servo: int, data: Any, result: int, flags: int, length: int) -> bytes:
+        if result == self._sdk.COMM_RX_TIMEOUT:
+            raise DeviceError(f"servo {servo} on {self.port} does not answer")
+        if result == self._sdk.COMM_RX_CORRUPT:
+            raise DeviceError(f"servo {servo} on {self.port} answered with a packet that is damaged")
+        if result != self._sdk.COMM_SUCCESS:
+            raise DeviceError(f"{self.port} did not take a request to servo {servo}")
+        self.check_flags(servo, flags)
+        if (had := self.length_of(self._packet)) != length:  # the SDKs take the checksum of a short one for a byte
+            raise DeviceError(f"servo {servo} on {self.port} answered with {number_of(had, 'byte')} of {length}")
+        return bytes(data)
+
+    def length_of(self, packet: list[int]) -> int:
+        """Return how many bytes an answer brings."""
+        raise NotImplementedError
+
+    def check_flags(self, servo: int, flags: int) -> None:
+        """Raise `ServoFault` for an error that a servo reports in an answer."""
+
+
+def bus_ids(scene: Scene, settings: dict[str, Any], arm: str) -> tuple[tuple[int, float], ...]:
+    """Return the typed ids, or 1 to the number of axes. Raises `Refused` for a scene that has no such joints."""
+    ids: tuple[tuple[int, float], ...] = settings.get("ids") or tuple((i + 1, 1.0) for i in range(scene.axes))
+    if len(ids) != scene.axes:
+        raise Refused(f"the scene has {number_of(scene.axes, 'axis', 'axes')}, and {arm} was given "
+                      f"{number_of(len(ids), 'id')}; name one for each axis, for example ids=1-{scene.axes}")
+    if (units := set(scene.axis_units)) != {"rad"}:
+        raise Refused(f"{arm} has joints, and the scene's axes are in {' and '.join(sorted(units))}; take "
+                      f"a scene in rad, for example bench_top with --set axes={scene.axes} --set units=rad")
+    return ids
