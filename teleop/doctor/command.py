@@ -26,8 +26,9 @@ from teleop.terminal.table import facts, si
 from teleop.version import DISTRIBUTION, __version__
 
 EXTRAS = {  # what to install for each
-    "cryptography": "secure", "distributed": "cluster", "matplotlib": "plot", "mcap": "log",
-    "mujoco-core": "mujoco", "numba": "batch", "pyOpenSSL": "secure", "scipy": "test", "websockets": "page",
+    "cryptography": "secure", "distributed": "cluster", "dynamixel-sdk": "dynamixel", "feetech-servo-sdk": "feetech",
+    "matplotlib": "plot", "mcap": "log", "mujoco-core": "mujoco", "numba": "batch", "pyOpenSSL": "secure",
+    "pylibfranka": "franka", "python-can": "openarm", "scipy": "test", "websockets": "page",
 }
 
 

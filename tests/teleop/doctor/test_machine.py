@@ -191,7 +191,7 @@ def test_it_says_what_is_installed_and_what_is_not(typed: Callable[..., Any], ca
     monkeypatch.setattr(command, "version_of", lambda name: None if name == "numba" else "1.2.3")
     monkeypatch.setattr(command, "find_compiler", lambda: None)
     out = typed("doctor").out
-    assert "C compiler         none: install gcc or clang, and sweeps compile in a second" in out
+    assert "C compiler          none: install gcc or clang, and sweeps compile in a second" in out
     assert "not installed: pip install 'bilateral-teleop[batch]'" in out
     assert str(cache) in out
 

@@ -165,14 +165,14 @@ def dynamixel_bus(scene: Scene, argument: str) -> ServoBus:
                     watchdog=watchdog_of(__name__, argument, chain))
 
 
-def dynamixel_device(scene: Scene, argument: str) -> TorqueArm:
-    """Torques at the master's end, against the hand."""
-    return _torque_arm(scene, argument, -1.0)
+def dynamixel_device(scene: Scene, port: str) -> TorqueArm:
+    """Dynamixel X servos at the master's end, dynamixel:PORT; see teleop/live/devices/arms/README.md."""
+    return _torque_arm(scene, port, -1.0)
 
 
-def dynamixel_robot(scene: Scene, argument: str) -> TorqueArm:
-    """Torques at the slave's end."""
-    return _torque_arm(scene, argument, 1.0)
+def dynamixel_robot(scene: Scene, port: str) -> TorqueArm:
+    """Dynamixel X servos at the slave's end, dynamixel:PORT; see teleop/live/devices/arms/README.md."""
+    return _torque_arm(scene, port, 1.0)
 
 
 def _torque_arm(scene: Scene, argument: str, push: float) -> TorqueArm:

@@ -159,14 +159,14 @@ def feetech_bus(scene: Scene, argument: str) -> ServoBus:
                     watchdog=watchdog_of(__name__, argument, chain))
 
 
-def feetech_device(scene: Scene, argument: str) -> LiveDevice:
-    """A chain at the master's end, whose torques are against the hand."""
-    return _device(scene, argument, -1.0)
+def feetech_device(scene: Scene, port: str) -> LiveDevice:
+    """Feetech STS or SMS servos at the master's end, feetech:PORT; see teleop/live/devices/arms/README.md."""
+    return _device(scene, port, -1.0)
 
 
-def feetech_robot(scene: Scene, argument: str) -> LiveDevice:
-    """A chain at the slave's end."""
-    return _device(scene, argument, 1.0)
+def feetech_robot(scene: Scene, port: str) -> LiveDevice:
+    """Feetech STS or SMS servos at the slave's end, feetech:PORT; see teleop/live/devices/arms/README.md."""
+    return _device(scene, port, 1.0)
 
 
 def _device(scene: Scene, argument: str, push: float) -> LiveDevice:

@@ -185,14 +185,14 @@ def _memory() -> IO[bytes]:
     return file
 
 
-def franka_device(scene: Scene, argument: str) -> FrankaArm:
-    """An arm at the master's end, against the hand."""
-    return FrankaArm(scene, argument, -1.0)
+def franka_device(scene: Scene, host: str) -> FrankaArm:
+    """A Franka arm at the master's end, franka:HOST; see teleop/live/devices/arms/README.md."""
+    return FrankaArm(scene, host, -1.0)
 
 
-def franka_robot(scene: Scene, argument: str) -> FrankaArm:
-    """An arm at the slave's end."""
-    return FrankaArm(scene, argument, 1.0)
+def franka_robot(scene: Scene, host: str) -> FrankaArm:
+    """A Franka arm at the slave's end, franka:HOST; see teleop/live/devices/arms/README.md."""
+    return FrankaArm(scene, host, 1.0)
 
 
 class Driving:

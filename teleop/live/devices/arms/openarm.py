@@ -276,14 +276,14 @@ class DamiaoArm:
                           "?answers=)")
 
 
-def openarm_device(scene: Scene, argument: str) -> DamiaoArm:
-    """Torques at the master's end, against the hand."""
-    return DamiaoArm(scene, argument, -1.0)
+def openarm_device(scene: Scene, channel: str) -> DamiaoArm:
+    """Damiao motors, as of an OpenArm, at the master's end, openarm:can0; see teleop/live/devices/arms/README.md."""
+    return DamiaoArm(scene, channel, -1.0)
 
 
-def openarm_robot(scene: Scene, argument: str) -> DamiaoArm:
-    """Torques at the slave's end."""
-    return DamiaoArm(scene, argument, 1.0)
+def openarm_robot(scene: Scene, channel: str) -> DamiaoArm:
+    """Damiao motors, as of an OpenArm, at the slave's end, openarm:can0; see teleop/live/devices/arms/README.md."""
+    return DamiaoArm(scene, channel, 1.0)
 
 
 def _scale(value: float, low: float, high: float, bits: int) -> int:
