@@ -17,6 +17,7 @@ pytest.importorskip("dynamixel_sdk", reason="the extra `dynamixel` is not instal
 
 from teleop import DeviceError, Refused, Scene, check_device, load_scene
 from teleop.__main__ import main
+from teleop.live.devices.arms import dynamixel, feetech
 from teleop.live.devices.arms.dynamixel import DynamixelChain, dynamixel_bus, dynamixel_device, dynamixel_robot
 from teleop.live.devices.arms.feetech import feetech_bus, feetech_robot
 from teleop.live.devices.arms.servo_bus import LAPSE_NS, ServoBus, TorqueArm
@@ -330,6 +331,35 @@ def test_the_watchdog_process_lets_servos_go_whose_end_is_killed_or_stopped(
     finally:
         end.kill()
         end.communicate()
+
+
+@pytest.mark.parametrize("driver", [feetech, dynamixel])
+def test_the_watchdogs_way_over_a_port_of_its_own_holds_a_joint_where_it_is_or_makes_it_limp(
+    driver: Any, opened: Callable[..., Any]
+) -> None:
+    kind = Feetech if driver is feetech else Dynamixel
+    servos = opened(kind((1, 2), moves=lambda _servo, _table: None))  # what they touch holds them
+
+    def presses() -> None:
+        for each in (1, 2):
+            servos.set(each, *servos.goals, 3000)
+            servos.set(each, servos.torque, 1, 1)
+
+    presses()
+    let_go = driver.letting_go(servos.port, "1,-2")
+    let_go()
+    until(lambda: [servos.get(each, *servos.goals) for each in (1, 2)] == [2048, 2048])
+    servos.set(1, *servos.positions, 2000)  # it sinks a little
+    let_go()
+    assert [servos.get(each, *servos.goals) for each in (1, 2)] == [2048, 2048]
+    assert [servos.get(each, servos.torque, 1) for each in (1, 2)] == [1, 1]
+    presses()
+    driver.letting_go(f"{servos.port}?lets_go=limp", "1,-2")()
+    until(lambda: [servos.get(each, servos.torque, 1) for each in (1, 2)] == [0, 0])
+    presses()
+    servos.silent.add(1)  # where it is nobody knows
+    driver.letting_go(servos.port, "1,-2")()
+    until(lambda: [servos.get(each, servos.torque, 1) for each in (1, 2)] == [0, 0])
 
 
 def test_a_tick_that_hangs_lets_go_within_the_lapse(opened: Callable[..., Any]) -> None:

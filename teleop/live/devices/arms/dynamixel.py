@@ -122,15 +122,17 @@ class DynamixelChain(SdkChain):
             values, self.signs, self._kt, self._units, strict=True)]
         self.write_all(*CURRENT, [max(-most, min(most, each)) for each, most in zip(counts, self._bounds, strict=True)])
 
-    def rest(self, how: LetsGo) -> None:
-        """Give each servo its own position as its goal, or switch its torque off; a current becomes 0."""
+    def rest(self, how: LetsGo, at: Axes | None = None) -> Axes | None:
+        """Give each servo its own position, or `at`, as its goal, or switch its torque off; a current becomes 0."""
         if self._kt is not None:
             self.write_all(*CURRENT, [0] * len(self.ids))
         elif how is LetsGo.HOLD:
-            self._give(self.read())
-            return
+            at = self.read() if at is None else at
+            self._give(at)
+            return at
         self.write_all(*TORQUE, [0] * len(self.ids))
         self._is_on = False
+        return None
 
     def rearm(self) -> None:
         """Clear the Bus Watchdog, which may have stopped the servos in a pause of the line, and arm it again."""

@@ -71,7 +71,7 @@ class FeetechChain(SdkChain):
         self.connect()
         self.find()
         mode = POSITION_MODE if self._stall is None else PWM_MODE
-        self._range, self._counts, self.notes, self._is_on = [], [], [], False
+        self._range, self.notes, self._is_on = [], [], False
         delay = 0
         for each in self.ids:
             model = self.read_register(each, *MODEL)
@@ -105,27 +105,30 @@ class FeetechChain(SdkChain):
 
     def write(self, values: Axes) -> None:
         """Give goals, within the limits of each servo, and switch the torque on if it is off."""
+        self._give(values)
+        if not self._is_on:
+            self.write_all(*TORQUE, [1] * len(self.ids))
+            self._is_on = True
+
+    def _give(self, values: Axes) -> None:
         if self._stall is None:
             self.write_all(*GOAL, [_pack(max(low, min(high, ZERO + round(sign * x / RADIANS))), SIGN) for x, sign, (
                 low, high) in zip(values, self.signs, self._range, strict=True)])
         else:
             self.write_all(*PWM, [_pack(round(FULL * max(-1.0, min(1.0, sign * each / stall))), PWM_SIGN)
                                 for each, sign, stall in zip(values, self.signs, self._stall, strict=True)])
-        if not self._is_on:
-            self.write_all(*TORQUE, [1] * len(self.ids))
-            self._is_on = True
 
-    def rest(self, how: LetsGo) -> None:
-        """Give each servo its own position as its goal, or switch its torque off; a PWM becomes 0."""
+    def rest(self, how: LetsGo, at: Axes | None = None) -> Axes | None:
+        """Give each servo its own position, or `at`, as its goal, or switch its torque off; a PWM becomes 0."""
         if self._stall is not None:
             self.write_all(*PWM, [0] * len(self.ids))
         elif how is LetsGo.HOLD:
-            self._counts = []
-            self.write_all(*GOAL, [_pack(max(low, min(high, ZERO + round(sign * x / RADIANS))), SIGN) for x, sign, (
-                low, high) in zip(self.read(), self.signs, self._range, strict=True)])
-            return
+            at = self.read() if at is None else at
+            self._give(at)
+            return at
         self.write_all(*TORQUE, [0] * len(self.ids))
         self._is_on = False
+        return None
 
     def rearm(self) -> None:
         """Nothing: these servos have no watchdog of their line."""

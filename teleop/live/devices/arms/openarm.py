@@ -24,14 +24,14 @@ except ModuleNotFoundError as error:
                       "'bilateral-teleop[openarm]', or pip install python-can") from error
 from teleop.errors import DeviceError, Refused, number_of
 from teleop.live.devices.arms.sdk_chain import bus_ids
-from teleop.live.devices.arms.settings import for_each, ids_of, numbers, one_of, settings_of, within
+from teleop.live.devices.arms.settings import for_each, ids_of, numbers, one_of, settings_of, whole, within
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.protocol.guard import DEADLINE
 from teleop.scene.scene import Scene
 
 EXAMPLE = "openarm:can0?fd=1"
 READERS = {"ids": ids_of, "fd": one_of("0", "1"), "limit": numbers, "damping": within(0.0, 5.0),
-           "interface": one_of("socketcan", "virtual"), "answers": within(0.0, 255.0)}
+           "interface": one_of("socketcan", "virtual"), "answers": whole}
 ANSWERS = 0x10  # an answer has this more than the id of its motor
 TABLE = 0x7FF  # of reading and writing registers
 READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
@@ -120,7 +120,7 @@ class DamiaoArm:
         """Raises `Refused` for what it cannot drive, `DeviceError` if a motor does not answer."""
         self.channel, settings = settings_of("openarm", argument, READERS, EXAMPLE)
         ids = bus_ids(scene, settings, "openarm")
-        above = round(settings.get("answers", ANSWERS))
+        above = settings.get("answers", ANSWERS)
         self._motors = [DamiaoMotor(each, sign, each + above) for each, sign in ids]
         self._by_answer = {motor.answers: motor for motor in self._motors}
         self._damping: float = settings.get("damping", 0.0)

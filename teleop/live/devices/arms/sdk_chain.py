@@ -6,14 +6,16 @@ one: both are done here.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from contextlib import suppress
-from time import sleep
+from time import monotonic_ns, sleep
 from typing import Any
 
 from teleop.errors import DeviceError, Refused, number_of
 from teleop.live.devices.arms.servo_bus import TIMEOUT_MS, LetsGo, ServoChain, error_text
 from teleop.live.devices.device_watchdog import DeviceWatchdog
+from teleop.protocol.endpoint import Axes
 from teleop.scene.scene import Scene
 
 TerminalError: type[Exception] = OSError
@@ -22,28 +24,37 @@ with suppress(ImportError):  # of a system without terminals
 
     TerminalError = termios.error
 PIECE_S = 0.002  # that a read waits in the system; the SDKs themselves look again and again without a pause
+SAME_NS = 500_000_000  # between two calls of a watchdog that fired once
 REPEATS = 3  # of what nobody answers
 
 
 def watchdog_of(driver: str, argument: str, chain: SdkChain) -> DeviceWatchdog:
     """Make the watchdog of a chain: `letting_go` of its driver's module, in a process and on a port of its own."""
     return DeviceWatchdog(open=f"{driver}:letting_go", arguments=(argument, chain.signed_ids),
-                          device=f"{chain.name} {chain.port}")
+                          device=f"{chain.name} {os.path.realpath(chain.port)}")
 
 
 def rest_of(chain: ServoChain, lets_go: LetsGo) -> Callable[[], None]:
     """Make the function of the watchdog process; servos that cannot be read go limp.
 
-    It repeats itself: half a packet of an end that was killed makes servos lose the first that follows it.
+    It repeats itself: half a packet of an end that was killed makes servos lose the first that follows it. Called again
+    within half a second it holds the joints where it held them before, or they would sink from call to call.
     """
+    at: Axes | None = None
+    called = 0
+
     def let_go() -> None:
+        nonlocal at, called
+        if monotonic_ns() - called > SAME_NS:
+            at = None
         for _ in range(REPEATS):
             chain.rearm()
             try:
-                chain.rest(lets_go)
+                at = chain.rest(lets_go, at)
             except DeviceError:
                 chain.rest(LetsGo.LIMP)
             sleep(PIECE_S)
+        called = monotonic_ns()
 
     return let_go
 

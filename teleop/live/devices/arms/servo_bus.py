@@ -65,8 +65,11 @@ class ServoChain(Protocol):
     def write(self, values: Axes) -> None:
         """Give each joint its goal, rad, or its torque, N m; with the torque on from then on."""
 
-    def rest(self, how: LetsGo) -> None:
-        """Hold each joint where it is, or switch the torque off; a torque becomes zero."""
+    def rest(self, how: LetsGo, at: Axes | None = None) -> Axes | None:
+        """Hold each joint `at` (rad; left out, where it is), or switch the torque off; a torque becomes zero.
+
+        Returns where the joints are held, None where they are not.
+        """
 
     def rearm(self) -> None:
         """Make goals count again after a pause of the line."""
@@ -175,7 +178,7 @@ class ServoBus:
     def _check(self, now: int) -> None:
         if self._why is not None:
             raise DeviceError(self._why)
-        if now - self._newest[0].t > self._stale_ns and now - self._rested > self._stale_ns:
+        if now - self._newest[0].t > self._stale_ns:
             raise DeviceError(f"{self._chain.port} has given no position for {(now - self._newest[0].t) / 1e9:.3f} s")
 
     def _run(self) -> None:
