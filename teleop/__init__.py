@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from teleop.physics.plant import MassDamper, Plant
     from teleop.physics.relaxing import ElectricalDamping
     from teleop.physics.rotation import RotationAxes
+    from teleop.physics.servo import Servo
     from teleop.protocol.endpoint import Reading
     from teleop.scene.axes import each_axis
     from teleop.scene.loading import load_scene
@@ -80,7 +81,7 @@ __all__ = [
     "Energy", "Environment", "Facts", "Fixed", "FourChannel", "GrowingRun", "Hand", "Hold", "Integral", "Knob",
     "Law", "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator", "PDDamped", "PDamped",
     "PassivityController", "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance",
-    "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Table", "TwoLayer", "Vector", "VelocityEstimator",
+    "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Servo", "Table", "TwoLayer", "Vector", "VelocityEstimator",
     "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched", "WavePosition",
     "WavePrediction", "WaveScaled", "Zero", "__version__", "around", "check_device", "check_knobs", "check_law",
     "each_axis", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages", "number",
@@ -119,6 +120,7 @@ _HOMES = {  # the module of each name, under this package
     "live.end": ("end_main",),
     "physics.implicit": ("Resistance",),
     "physics.plant": ("MassDamper", "Plant"),
+    "physics.servo": ("Servo",),
     "physics.relaxing": ("ElectricalDamping",),
     "physics.rotation": ("RotationAxes",),
     "protocol.endpoint": ("Reading",),

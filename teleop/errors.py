@@ -56,6 +56,20 @@ class WrongCount(Refused):
         return WrongCount(name, self.value, self._axes)
 
 
+def enough(value: float, *, least: bool) -> str:
+    """A bound of a condition as it is typed, to four digits: rounded up if it is the least that is enough, else down.
+
+    >>> enough(40.239, least=True), enough(40.239, least=False), enough(0.25, least=True)
+    ('40.24', '40.23', '0.25')
+    >>> enough(0.5 - 0.2, least=False)
+    '0.3'
+    """
+    from decimal import ROUND_CEILING, ROUND_FLOOR, Context  # for a condition that is broken
+
+    rounded = Context(prec=4, rounding=ROUND_CEILING if least else ROUND_FLOOR).create_decimal(f"{value:.12g}")
+    return f"{float(rounded):g}"
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """Last words of a refusal of an unknown name: the nearest known names, or all of them.
 

@@ -43,6 +43,9 @@ def _of_end(e: str) -> dict[str, Quantity]:
         f"v_{e}": Quantity("m/s", f"velocity of the {end}", end, True),
         f"q_{e}": Quantity("m", f"position of the {end} as its encoder reads it", end, True),
         f"v_hat_{e}": Quantity("m/s", f"velocity of the {end} as it is estimated from its readings", end, True),
+        f"shaft_{e}": Quantity("m", f"true position of the {end}'s shaft, a position servo's", end, True),
+        f"touch_{e}": Quantity("N", "true force of the hand on that shaft" if e == "m" else
+                               "true force of that shaft on what it touches", end, True),
         f"g_{e}": Quantity("1", f"gain of the {end}'s watchdog: 1 lets the law's force through, 0 none of it", end),
         f"late_{e}": Quantity("s", f"how late the {end}'s tick ran", end),
         f"E_left_{e}": Quantity("J", f"what is left of the {end}'s energy budget", end),

@@ -108,20 +108,6 @@ def broken(law: Any, facts: Facts) -> list[str]:
     return [*_claims_broken(law, facts), *(conditions(facts) if conditions is not None else ())]
 
 
-def enough(value: float, *, least: bool) -> str:
-    """A bound of a condition as it is typed, to four digits: rounded up if it is the least that is enough, else down.
-
-    >>> enough(40.239, least=True), enough(40.239, least=False), enough(0.25, least=True)
-    ('40.24', '40.23', '0.25')
-    >>> enough(0.5 - 0.2, least=False)
-    '0.3'
-    """
-    from decimal import ROUND_CEILING, ROUND_FLOOR, Context  # for a condition that is broken
-
-    rounded = Context(prec=4, rounding=ROUND_CEILING if least else ROUND_FLOOR).create_decimal(f"{value:.12g}")
-    return f"{float(rounded):g}"
-
-
 def _claims_broken(law: Any, facts: Facts) -> list[str]:
     """The conditions of claims that the link or its playout breaks."""
     has_waves = all(map(waves, messages(law, facts.dt)))

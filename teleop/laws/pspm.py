@@ -43,9 +43,10 @@ from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
 from teleop import kind
+from teleop.errors import enough
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
-from teleop.law.offers import Facts, enough
+from teleop.law.offers import Facts
 
 TINY = 1e-300  # J, in place of no way at all
 

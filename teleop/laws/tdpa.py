@@ -73,9 +73,10 @@ from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
 from teleop import kind
+from teleop.errors import enough
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
-from teleop.law.offers import Facts, enough
+from teleop.law.offers import Facts
 
 PAYS = (sqrt(8.0) - 1.0) / 3.5  # B/(K dt) from which on the coupling of a slave that owes takes energy
 TINY = 1e-300  # in place of nothing below a fraction

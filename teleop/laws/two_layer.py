@@ -45,9 +45,10 @@ from math import sqrt
 from typing import Annotated, ClassVar, NamedTuple
 
 from teleop import kind
+from teleop.errors import enough
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
-from teleop.law.offers import Facts, enough
+from teleop.law.offers import Facts
 
 TINY = 1e-300  # in place of nothing below a fraction
 SHORT = 1e-40  # m^2, in place of no motion: what a tank pays for is no matter of it then

@@ -81,6 +81,8 @@ def check_alike(name: str, parts: tuple[Any, ...]) -> None:
     if name == "law" and len(kinds := {type(each).__name__ for each in parts}) > 1:
         raise Refused("the laws of the axes are of one class, with numbers of their own, not "
                       f"{enumerated(sorted(kinds))}; write for example law=(Wave(b=2.0), Wave(b=1.0))")
+    if name in ("master", "slave") and len({getattr(each, "inner", False) for each in parts}) > 1:
+        raise Refused(f"the {name} is a position servo on some axes and not on others; make it one on each, or on none")
     if name in ("device_m", "device_s"):
         has = {(each.encoder is None, type(each.velocity), each.every, each.delay) for each in parts}
         if len(has) > 1:

@@ -197,6 +197,8 @@ class Scene:
         if looked_at or self.names or self.units or self.rotations or any(
                 isinstance(getattr(self, name), tuple) for name in (*PER_AXIS, "start_m", "start_s")):
             return False
+        if any(hasattr(body, "check") for body in (self.master, self.slave)):  # by their numbers
+            return False
         touched = self.environment is None or any(
             hasattr(type(self.environment), each) for each in ("plant", "resistance", "path"))
         law = "one-port law" if self.slave is None else "law"
@@ -238,6 +240,10 @@ class Scene:
             if each is not None or name not in NOTHING:
                 check_shape(name, each)
         check_alike(name, parts)
+        if name in ("master", "slave"):
+            for each in distinct(parts):
+                if hasattr(each, "check"):
+                    each.check(self.dt_ns / 1e9)
 
     def _check_ends(self) -> None:
         """Refuse a law with other ends than the scene, and parts of a slave in a scene without one."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from teleop.errors import Refused, number_of
 from teleop.physics.path import Blocks, Path
 from teleop.physics.plant import Force, MassDamper, Move, Plant, bound, free_space, grip
-from teleop.scene.parts import Environment, Reference
+from teleop.scene.parts import Environment, Reference, Vector
 from teleop.scene.scene import Scene
 
 WHOLE = 3_600_000  # ticks, an hour at 1 kHz: so much of a reference that is sampled as a whole, before a run begins
@@ -61,8 +61,13 @@ def exact_bodies(scene: Scene, slaves: list[Plant] | None = None) -> Bodies:
 
 
 def master_has_inner(scene: Scene) -> bool:
-    """True if the master's motion has an inner state: friction on one of its axes, or a motor damped by a shunt."""
-    return scene.electrical is not None or any(body.friction > 0.0 for body in scene.per_axis("master"))
+    """True if the master's motion has an inner state: on one of its axes, or of a motor damped by a shunt."""
+    return scene.electrical is not None or any(has_inner(body) for body in scene.per_axis("master"))
+
+
+def has_inner(body: Any) -> bool:
+    """True if a body's motion has an inner state: friction, or what a servo keeps."""
+    return body.friction > 0.0 or getattr(body, "inner", False)
 
 
 def master_coefficients(scene: Scene) -> tuple[Any, ...]:
@@ -102,6 +107,10 @@ def held_masters(scene: Scene) -> tuple[Plant, ...]:
 
     def plant(body: MassDamper, hand: tuple[float, float, float] | None) -> Plant:
         masters = hand or (0.0, 0.0, 0.0)
+        if hasattr(body, "master_plant"):
+            if scene.electrical is not None:
+                raise Refused("a position servo has no motor of its own to damp; leave electrical out")
+            return body.master_plant(*masters, dt)
         if scene.electrical is None:
             from teleop.physics.implicit import implicit_master
 
@@ -112,7 +121,16 @@ def held_masters(scene: Scene) -> tuple[Plant, ...]:
             raise Refused("friction of the master and electrical damping do not go together yet; leave one of them out")
         return relaxing_master(body, *masters, dt, b_e=scene.electrical.b, cutoff=scene.electrical.cutoff)
 
-    return _by_axis(scene, plant)
+    bodies = scene.per_axis("master")
+    return tuple(_started(list(_by_axis(scene, plant)), scene, bodies, scene.start_m))
+
+
+def _started(plants: list[Plant], scene: Scene, bodies: Sequence[Any], start: Vector) -> list[Plant]:
+    """The plants with the inner states in which bodies that tell one are at rest at `start` (m, per axis)."""
+    if not any(hasattr(body, "start") for body in bodies):
+        return plants
+    return [plant._replace(start=body.start(scene.dt_ns / 1e9, at)) for plant, body, at in zip(
+        plants, bodies, scene.vector("start", start), strict=True)]
 
 
 def slave_plants(scene: Scene, *, as_it_goes: bool = False) -> list[Plant]:
@@ -122,8 +140,9 @@ def slave_plants(scene: Scene, *, as_it_goes: bool = False) -> list[Plant]:
     """
     if scene.slave is None:
         return []
-    plants = [_slave(scene, body, one, as_it_goes)
-              for body, one in zip(scene.per_axis("slave"), scene.environments, strict=True)]
+    bodies = scene.per_axis("slave")
+    plants = _started([_slave(scene, body, one, as_it_goes)
+                       for body, one in zip(bodies, scene.environments, strict=True)], scene, bodies, scene.start_s)
     if any(plant.start is not None for plant in plants):  # they share the lines of the tick
         return [plant if plant.start is not None else with_inner(plant) for plant in plants]
     return plants
@@ -133,6 +152,11 @@ def _slave(scene: Scene, body: MassDamper, environment: Environment | None, as_i
     """The slave in one environment, which may be carried along a path."""
     dt = scene.dt_ns / 1e9
     path: Reference | None = getattr(environment, "path", None)
+    if hasattr(body, "slave_plant"):
+        if path is not None or (environment is not None and not hasattr(environment, "resistance")):
+            raise Refused(f"a position servo is not known in {type(environment).__name__}; take a wall, a tissue or a "
+                          "Hunt-Crossley body that stands still")
+        return body.slave_plant(dt, None if environment is None else environment.resistance())
     still: Any = environment if path is None else environment.environment  # type: ignore[union-attr]
     if body.friction > 0.0 or (still is not None and not hasattr(still, "plant")):
         plant = _integrated(scene, body, still)

@@ -189,6 +189,7 @@ def facts(scene: Scene, axis: int, fwd: AgeRange | None, bwd: AgeRange | None, l
     and f_s = scale_f f a mass m_s scale_x/scale_f (`teleop.stages.scaling`).
     """
     master, slave, scaling = [scene.per_axis(name)[axis] for name in ("master", "slave", "scaling")]
+    master, slave = getattr(master, "body", master), getattr(slave, "body", slave)
     felt = 1.0 if scaling is None else scaling.scale_x / scaling.scale_f
     return Facts(scene.dt_ns / 1e9, scene.axes, master.mass, master.damping, felt * slave.mass, felt * slave.damping,
                  fwd, bwd, lossy, _word(scene.played_as), held)

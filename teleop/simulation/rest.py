@@ -149,7 +149,8 @@ def period(scene: Scene) -> float:
 
 def encoder_step(scene: Scene) -> float:
     """The step of the coarsest encoder of both ends, m; 0.0 without one."""
-    return max((end.encoder.step for end in _devices(scene) if end and end.encoder), default=0.0)
+    servos = [getattr(body, "step", 0.0) for body in (*scene.per_axis("master"), *scene.per_axis("slave"))]
+    return max([end.encoder.step for end in _devices(scene) if end and end.encoder] + servos)
 
 
 def _devices(scene: Scene) -> tuple[Any, ...]:

@@ -13,7 +13,7 @@ from teleop.law import functions_of, messages, reads, start_at
 from teleop.law.offers import stores
 from teleop.scene.playout import integrates, repeats
 from teleop.scene.scene import Scene
-from teleop.simulation.bodies import master_has_inner
+from teleop.simulation.bodies import has_inner, master_has_inner
 from teleop.stages.end import Column, End, EndHas, Recorder, Run, RunHas, Shown, Stage, per_axis
 from teleop.stages.order import STAGES, Asked
 
@@ -73,13 +73,13 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
     rx: Any
     tx, rx = messages(scene.laws[0], dt)[::1 if e == "m" else -1] if run.slave else (None, None)
     state = type(start_of(scene.laws[0], e, dt)[0]) if run.slave else None
-    end = Asked(scene, e, scene.per_axis(f"device_{e}")[0], reading, tx, rx, state)
+    end = Asked(scene, e, scene.per_axis(f"device_{e}")[0], scene.per_axis(NAMES[e])[0], reading, tx, rx, state)
     places = [place for place in STAGES if place.wanted(end)]
     stages, names = tuple([place.stage() for place in places]), {place.name for place in places}
     of_stages = tuple([stage.structure(end) for stage in stages])
     touch, observed = "f" in reading, "observer" in names
     inner = master_has_inner(scene) if e == "m" else (
-        scene.slave is not None and (any(body.friction > 0.0 for body in scene.per_axis("slave")) or any(
+        scene.slave is not None and (any(has_inner(body) for body in scene.per_axis("slave")) or any(
             getattr(one, "inner", False) for one in scene.environments)))
     age, aged = "age" in reading and run.slave, getattr(scene.watchdog, "age", None) is not None
     has = EndHas(

@@ -58,7 +58,8 @@ class ObserverStage(Stage):
 
     @staticmethod
     def numbers(scene: Any, e: str, dt: float, places: Places) -> Any:
-        devices = tuple([(scene.observer, body.mass, body.damping) for body in scene.per_axis("master")])
+        bodies = [getattr(each, "body", each) for each in scene.per_axis("master")]
+        devices = tuple([(scene.observer, body.mass, body.damping) for body in bodies])
         return tuple([coefficients(*device, dt) for device in devices]), devices
 
     def columns(self, e: End) -> tuple[Column, ...]:

@@ -20,6 +20,7 @@ class Asked(NamedTuple):
     scene: Any
     e: str  # m or s
     device: Any  # None: it has none
+    body: Any
     reads: frozenset[str]  # the fields of `At` that its law reads
     tx: Any  # types of the messages that it sends and receives, and of its law's state; None without a slave
     rx: Any
@@ -54,6 +55,9 @@ def _caps(end: Asked, limit: str) -> bool:
 
 
 BEFORE_LAW = (  # what the law reads
+    Place("servo", "servo:ServoStage", lambda end: getattr(end.body, "inner", False),
+          "records the true position of a position servo's shaft, and the true torque on it",
+          "slave=Servo(K=17.8, damping=0.6)"),
     Place("encoder", "encoder:EncoderStage", lambda end: getattr(end.device, "encoder", None) is not None,
           "rounds the position that the law reads down to a step", "device_m=Device(encoder=Encoder(step=1e-5))"),
     Place("velocity", "velocity_estimate:VelocityStage",

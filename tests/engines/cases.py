@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 from channel import LeftOut, parse_link
 from master.hand import Grip, Sine
 from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
-from teleop import At, Energy, Fixed, Integral, Operator, Scaled, Scene, Wave, kind, load_scene
+from teleop import At, Energy, Fixed, Integral, Operator, Scaled, Scene, Servo, Wave, kind, load_scene
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.pp import PositionPosition
@@ -223,6 +223,21 @@ def read_by(velocity: Callable[[float], Any], **knobs: Any) -> list[Scene]:
             for noise in (1e-6, 1e-5, 1e-4)]
 
 
+def servos() -> list[Scene]:
+    """Position servos at both ends, of both drives, at a wall, a tissue and a soft ball."""
+    made = []
+    for n, (drive_m, drive_s) in enumerate((("offset", "offset"), ("mass", "offset"), ("offset", "mass"))):
+        numbers = {"K": 15.0 + 5.0 * n, "damping": 0.6, "friction": 0.1 * n, "stall": 2.0, "backlash": 0.01 * n,
+                   "counts": 1000 * n, "bus": (0.003, 0.004), "every": 10, "D": 0.5, "dead": 0.05 * n}
+        ends = {end: tuple([Servo(drive=drive, inertia=0.02 + 0.01 * i, **numbers) for i in range(3)])
+                for end, drive in (("master", drive_m), ("slave", drive_s))}
+        made.append(Scene(
+            axes=3, units=("rad",) * 3, **ends, law=PositionPosition(K=8.0, B=0.4), link=parse_link("delay(0.02)"),
+            hand=Grip(mass=0.02, k=15.0, d=0.5, reference=Sine(amplitude=(0.4, 0.3, -0.5), frequency=1.0)),
+            environment=(Wall(k=500.0, d=2.0, at=0.05), Tissue(k=10.0, d=0.1), ball(2.0)), duration=0.4, energy=True))
+    return made
+
+
 def many_axes() -> list[Scene]:
     """Eleven axes, of which two begin with the same digit, each from a place of its own and without a hand."""
     base = replace(load_scene("canonical"), hand=None, environment=None, duration=0.1, link=parse_link(ROUGH))
@@ -263,6 +278,7 @@ CASES: dict[str, Callable[[], list[Scene]]] = {
     "rotations": lambda: [tumbling(law=WavePosition(b=0.02, K=1.0 + n, B=0.02, K_p=0.2, B_p=0.005), duration=0.3,
                                    observer=None) for n in range(3)],
     "six axes": partial(knobs, "pose", "delay", (0.0, 0.01, 0.02), duration=0.2),
+    "position servos": servos,
     "friction": partial(bodies, lambda k: (Wall(k=k, d=2.0, at=0.004), carried(Tissue(k=0.1 * k, d=2.0)), ball(k)),
                         friction=0.3),
     "soft and relaxing bodies that move": partial(

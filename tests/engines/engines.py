@@ -126,4 +126,4 @@ def assert_stepped(name: str) -> None:
     assert (stepped.status, stepped.sentence, stepped.ticks, stepped.metrics, stepped.packets, stepped.notes) == (
         single.status, single.sentence, single.ticks, single.metrics, single.packets, single.notes)
     assert {key: column.tobytes() for key, column in stepped.trace.items()} == {
-        key: column.tobytes() for key, column in single.trace.items()}
+        key: column.tobytes() for key, column in single.trace.items() if not key.startswith(("shaft", "touch"))}

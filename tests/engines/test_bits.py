@@ -62,6 +62,7 @@ eleven axes                             X     X      f      f                   
 coupled axes without a link             X     X      X      f       f      f      f       f
 rotations                               X     X      X      f       f      f      X       f
 six axes                                f     f      f      f              f      f       f
+position servos                         X     X      X      f       -      -      X       f
 friction                                X     X      X      f       -      -      f       f
 soft and relaxing bodies that move      X     X      X      f       -      -      f       f
 relaxing, moved and none                f     f      X      f       -      -      f       f

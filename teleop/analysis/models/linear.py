@@ -69,6 +69,10 @@ def linear_scene(scene: Scene, *, seed: int = 0) -> LinearScene:
         if (device := scene.per_axis(name)[0]) is not None and device.every > 1:
             raise NotLinear(f"{name} renews its force every {device.every} ticks, so the loop is not time-invariant",
                             f", or {without(scene, 'set every=1', every='1')}")
+    for name in ("master", "slave"):
+        if any(getattr(body, "every", 1) > 1 for body in scene.per_axis(name)):
+            raise NotLinear(f"the {name}'s servo hears of its goal every few ticks, so the loop is not time-invariant",
+                            f", or {without(scene, 'give it every=1, and the scene the dt of its bus', every='1')}")
     forth, back = link_ticks(scene, seed)
     return LinearScene(_end(scene, "m", back), _end(scene, "s", forth), forth, back, scene.dt_ns / 1e9)
 
@@ -161,16 +165,24 @@ def _nonlinear_parts(scene: Scene) -> tuple[list[InTheWay], Scene]:
         changes |= {name: tuple([device and replace(device, encoder=None) for device in axes])
                     for name, axes in devices.items() if getattr(scene, name) is not None}
     bodies = {name: scene.per_axis(name) for name in ("master", "slave")}
-    if any(body is not None and body.friction > 0.0 for each in bodies.values() for body in each):
+    if any(body is not None and body.friction > 0.0 and not hasattr(body, "linear")
+           for each in bodies.values() for body in each):
         typed = typed_off(scene, friction="0", friction_m="0", friction_s="0")
         parts.append(InTheWay("Coulomb friction", typed, "set friction=0"))
         changes |= {name: tuple([replace(body, friction=0.0) for body in axes])
+                    for name, axes in bodies.items() if getattr(scene, name) is not None}
+    if any(hasattr(body, "linear") and body.linear() != body for each in bodies.values() for body in each):
+        typed = typed_off(scene, friction="0", backlash="0", counts="0", stall="none", dead="0")
+        parts.append(InTheWay("friction, backlash, counts, stall or dead zone of a position servo", typed,
+                              "take servo.linear()"))
+        changes |= {name: tuple([body.linear() if hasattr(body, "linear") else body for body in axes])
                     for name, axes in bodies.items() if getattr(scene, name) is not None}
     bare = replace(scene, **changes)
     curved = _nonlinear_environments(bare)
     if curved:
         what = enumerated(list(dict.fromkeys(curved.values())))
-        typed = typed_off(scene, k_e="0", d_e="0") if scene.axes > 1 else ""  # of one axis nothing touched is left then
+        # Of one axis nothing touched would be left.
+        typed = typed_off(scene, k_e="0", d_e="0", stop="none") if scene.axes > 1 else ""
         parts.append(InTheWay(what, typed, "put a bonded tissue in its place (the scene soft_tissue has one)"))
         bare = replace(bare, environment=tuple([None if i in curved else one
                                                 for i, one in enumerate(scene.environments)]))
@@ -184,10 +196,11 @@ def _nonlinear_environments(scene: Scene) -> dict[int, str]:
         def respond(at: Sequence[float], plant: Any = plant) -> list[float]:
             if plant.start is None:
                 return [*plant.move(plant.c, *at)[:2], plant.force(plant.c, at[0], at[1])]
-            x, v, _, z = plant.move(plant.c, *at[:3], tuple(at[3:]))
-            return [x, v, *z, plant.force(plant.c, at[0], at[1], tuple(at[3:]))]
+            inner = like(plant.start, iter(at[3:]))
+            x, v, _, z = plant.move(plant.c, *at[:3], inner)
+            return [x, v, *flat(z), plant.force(plant.c, at[0], at[1], inner)]
 
-        if environment is not None and matrix(respond, 3 + len(plant.start or ())) is None:
+        if environment is not None and matrix(respond, 3 + len(flat(plant.start or ()))) is None:
             options[i] = type(environment).__name__
     return options
 
@@ -357,12 +370,13 @@ STILL = ZeroReference()
 
 def flat(values: Sequence[Any]) -> list[float]:
     """The numbers of these values, numbers and tuples of numbers, as one list."""
-    return [number for each in values for number in (each if isinstance(each, tuple) else (each,))]
+    return [number for each in values for number in (flat(each) if isinstance(each, tuple) else (each,))]
 
 
 def like(sample: Any, take: Iterator[float]) -> Any:
-    """The next number, or of a tuple one of the same type with the next numbers in it."""
-    return tuple.__new__(type(sample), [next(take) for _ in sample]) if isinstance(sample, tuple) else next(take)
+    """The next number, or of a tuple one of the same type, and of those in it, with the next numbers in it."""
+    return tuple.__new__(type(sample), [like(each, take) for each in sample]) if isinstance(
+        sample, tuple) else next(take)
 
 
 def _end(scene: Scene, e: str, age: int) -> StateSpace:

@@ -104,7 +104,8 @@ def one_axis(scene: Scene) -> Scene:
     """Its first axis: the others are the same loop."""
     if scene.axes == 1:
         return scene
-    return replace(scene, axes=1, start_m=scene.vector("start_m", scene.start_m)[0])
+    start = scene.vector("start_m", scene.start_m)[0]
+    return replace(scene, axes=1, names=(), units=scene.axis_units[:1], start_m=start)
 
 
 def cut_open(scene: Scene) -> LinearScene | None:

@@ -41,9 +41,10 @@ from math import sqrt
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 from teleop import kind
+from teleop.errors import enough
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
-from teleop.law.offers import Facts, enough
+from teleop.law.offers import Facts
 from teleop.laws.around.compose import Message, StageEnd
 
 TINY = 1e-30  # m/s: below this a velocity is none

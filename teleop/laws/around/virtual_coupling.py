@@ -37,9 +37,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, NamedTuple
 
+from teleop.errors import enough
 from teleop.knob import Knob, check_knobs
 from teleop.law import At
-from teleop.law.offers import Facts, enough
+from teleop.law.offers import Facts
 from teleop.laws.around.compose import Message, StageEnd
 
 

@@ -48,6 +48,7 @@ from teleop.sweeps.kernels.kernel import (
 )
 from teleop.sweeps.kernels.tiles import address_of, call_kernel
 
+MOST_NUMBERS = 2000  # of a row
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-builtin-pow", "-fPIC", "-shared", "-w")
 SOURCES = (*[f"teleop.emit.{name}" for name in ("calls", "expressions", "primitives", "statements", "types")],
            "teleop.simulation.expressions", "teleop.simulation.specialise", __name__)  # what a kernel is made with
@@ -222,7 +223,7 @@ def kernel_text(scene: Scene, bodies: Bodies, measures: Sequence[str], made: Lin
         text = flat.initial(value, kind)
         known[name] = Known(value) if kind == NOTHING else Printed(kind, name, fixed=True)
         numbers += [f"    const {program.types.c(kind)} {name} = {text};"] * (kind != NOTHING)
-    check_amount(flat.reals)
+    check_amount(flat.reals, MOST_NUMBERS)
     axes = range(scene.axes if scene.reference is not None else 0)
     known |= {"play_m": InMemory(INT, "play_m"), "play_s": InMemory(INT, "play_s"),
               "ref": TupleParts(tuple([InMemory(DOUBLE, f"path_{i}") for i in axes])),

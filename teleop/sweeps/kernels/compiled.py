@@ -87,10 +87,10 @@ class CompiledEngine(NamedTuple):
     part_maker: Callable[[str], str]  # the name of the function that makes the part of a name from its place
 
 
-def check_amount(numbers: int) -> None:
+def check_amount(numbers: int, most: int = MOST_NUMBERS) -> None:
     """Refuse a row of very many numbers, a long line of late forces, say: compiling takes minutes."""
-    if numbers > MOST_NUMBERS:
-        raise NotCompiled(f"it has {numbers} numbers, above {MOST_NUMBERS}, which are too many to be laid out")
+    if numbers > most:
+        raise NotCompiled(f"it has {numbers} numbers, above {most}, which are too many to be laid out")
 
 
 def module(scene: Scene, bodies: Bodies, measures: Sequence[str], engine: CompiledEngine, *, keep: bool = True
