@@ -125,7 +125,7 @@ class Servo:
 
     @property
     def body(self) -> MassDamper:
-        """What the law moves, as a mass and its damping, for an observer and for a law's conditions."""
+        """Mass and damping that the law moves, for an observer and for a law's conditions."""
         return MassDamper(mass=self.mass, damping=self.D if self.drive == "mass" else self.damping)
 
     @property
@@ -139,8 +139,8 @@ class Servo:
 
     def ticks(self, dt: float) -> tuple[int, int]:
         """Whole ticks that a goal and a reading take."""
-        there, back = (ceil(delay / dt - 1e-9) for delay in self.bus)
-        return there, back
+        to_servo, from_servo = (ceil(delay / dt - 1e-9) for delay in self.bus)
+        return to_servo, from_servo
 
     def lateness(self, dt: float) -> float:
         """The most that the loop over the bus is late, s: both delays, rounded up to ticks, and both holds."""
@@ -148,9 +148,9 @@ class Servo:
 
     def check(self, dt: float) -> None:
         """Refuse a servo whose drive could make energy, with the numbers that would do, for ticks of dt seconds."""
-        d, there = self.lateness(dt), max(self.ticks(dt))
-        if there > MOST_LATE:
-            raise Refused(f"a bus of a position servo is at most {MOST_LATE} ticks late each way, not {there}; "
+        d, most = self.lateness(dt), max(self.ticks(dt))
+        if most > MOST_LATE:
+            raise Refused(f"a bus of a position servo is at most {MOST_LATE} ticks late each way, not {most}; "
                           "take a longer dt, or a faster bus")
         late = f"a position servo of K={self.K:g} N m/rad and damping={self.damping:g} N m s/rad that is {d:g} s late"
         if self.drive == "offset":
@@ -160,10 +160,10 @@ class Servo:
                               f"{enough(least, least=True)}, or a lateness of "
                               f"{enough(self.damping / (LEAST * self.K), least=False)} s")
         elif (least := (self.K * d) ** 2 / (4.0 * self.damping)) > self.D:
-            most = 2.0 * (self.D * self.damping) ** 0.5
+            K_d = 2.0 * (self.D * self.damping) ** 0.5  # N m s/rad, the most that D pays for
             raise Refused(f"{late} makes energy at its virtual mass: (K d)^2/(4 damping) is {least:.3g} N m s/rad; "
-                          f"take D={enough(least, least=True)}, or K={enough(most / d, least=False)} at most, or a "
-                          f"lateness of {enough(most / self.K, least=False)} s")
+                          f"take D={enough(least, least=True)}, or K={enough(K_d / d, least=False)} at most, or a "
+                          f"lateness of {enough(K_d / self.K, least=False)} s")
 
     def slave_plant(self, dt: float, resistance: Resistance | None) -> Plant:
         """The servo in what its shaft touches, at rest at 0 (`start`)."""
@@ -183,7 +183,7 @@ class Servo:
         return shaft, touch, self.drive_numbers(dt), hand_mass
 
     def drive_numbers(self, dt: float) -> Tuple:
-        """The numbers of `goal_of`, `follow` and `felt`, for ticks of dt seconds."""
+        """The numbers of `goal_of`, `follow` and `felt_torque`, for ticks of dt seconds."""
         parts = ceil(dt / SHORT_MASS - 1e-9)
         past = max(1, round(SPEED / (self.every * dt)))
         return (1.0 if self.drive == "mass" else 0.0, self.K, self.stall, self.M, self.D, self.dead, self.every,
@@ -197,9 +197,9 @@ class Servo:
 
     def start(self, dt: float, at: float = 0.0) -> Tuple:
         """The inner state at rest at `at` (rad)."""
-        there, back = self.ticks(dt)
+        to_servo, from_servo = self.ticks(dt)
         reading = encoded(at, self.step)
-        return ((at, 0.0, at, 0.0, 0.0), self.drive_start(dt, reading), at, (at,) * there, (reading,) * back)
+        return ((at, 0.0, at, 0.0, 0.0), self.drive_start(dt, reading), at, (at,) * to_servo, (reading,) * from_servo)
 
 
 # The drives
@@ -220,7 +220,7 @@ def goal_of(c: Tuple, x: float, f: float, reading: float) -> float:
     return x if c[0] > 0.5 else reading + clip(f, c[2]) / c[1]
 
 
-def felt(c: Tuple, x: float, v: float, goal: float, reading: float) -> float:
+def felt_torque(c: Tuple, x: float, v: float, goal: float, reading: float) -> float:
     """The torque (N m) on what the shaft touches, as its error tells it.
 
     Of a mass that is F; of an offset drive the torque of its goal, less the drag of its motion and `dead`.
@@ -292,7 +292,7 @@ def move_held(c: Tuple, x: float, v: float, f_m: float, r0: float, r1: float, z:
 
 
 def exchange(c: Tuple, x: float, v: float, f: float, z: Tuple, at: float, rate: float) -> Tuple:
-    """One tick of bus, shaft and drive; what the shaft touches is carried along from `at` with the speed `rate`."""
+    """Move bus, shaft and drive over one tick; what the shaft touches is carried along from `at` with the speed `rate`."""
     shaft, touch, drive, _ = c
     state, follower, goal, goals, readings = z
     if drive[6] == 1 or follower[1] == 0:
@@ -380,12 +380,12 @@ def coupled(c: Tuple, v: float, w: float, gap: float, torque: float, pull: float
 
 def servo_force(c: Tuple, x: float, v: float, z: Tuple) -> float:
     """The torque on what it touches as the servo's own error tells it: all that such a device knows of it."""
-    return felt(c[2], x, v, z[2], z[1][0])
+    return felt_torque(c[2], x, v, z[2], z[1][0])
 
 
 def held_force(c: Tuple, x: float, v: float, f_held: float, r: float, slope: float, z: Tuple) -> float:  # noqa: ARG001
     """The hand's torque on the servo, told in the same way."""
-    return -felt(c[2], x, v, z[2], z[1][0])
+    return -felt_torque(c[2], x, v, z[2], z[1][0])
 
 
 def true_touch(c: Tuple, z: Tuple) -> float:

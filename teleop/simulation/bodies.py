@@ -110,7 +110,8 @@ def held_masters(scene: Scene) -> tuple[Plant, ...]:
         if hasattr(body, "master_plant"):
             if scene.electrical is not None:
                 raise Refused("a position servo has no motor of its own to damp; leave electrical out")
-            return body.master_plant(*masters, dt)
+            servo: Plant = body.master_plant(*masters, dt)
+            return servo
         if scene.electrical is None:
             from teleop.physics.implicit import implicit_master
 
@@ -156,7 +157,8 @@ def _slave(scene: Scene, body: MassDamper, environment: Environment | None, as_i
         if path is not None or (environment is not None and not hasattr(environment, "resistance")):
             raise Refused(f"a position servo is not known in {type(environment).__name__}; take a wall, a tissue or a "
                           "Hunt-Crossley body that stands still")
-        return body.slave_plant(dt, None if environment is None else environment.resistance())
+        servo: Plant = body.slave_plant(dt, None if environment is None else environment.resistance())
+        return servo
     still: Any = environment if path is None else environment.environment  # type: ignore[union-attr]
     if body.friction > 0.0 or (still is not None and not hasattr(still, "plant")):
         plant = _integrated(scene, body, still)
