@@ -292,7 +292,7 @@ def move_held(c: Tuple, x: float, v: float, f_m: float, r0: float, r1: float, z:
 
 
 def exchange(c: Tuple, x: float, v: float, f: float, z: Tuple, at: float, rate: float) -> Tuple:
-    """Move bus, shaft and drive over one tick; what the shaft touches is carried along from `at` with the speed `rate`."""
+    """Move bus, shaft and drive over one tick, in which what is touched moves from `at` with the speed `rate`."""
     shaft, touch, drive, _ = c
     state, follower, goal, goals, readings = z
     if drive[6] == 1 or follower[1] == 0:

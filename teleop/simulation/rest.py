@@ -151,7 +151,7 @@ def encoder_step(scene: Scene) -> float:
     """The step of the coarsest encoder of both ends, m; 0.0 without one."""
     bodies = (*scene.per_axis("master"), *scene.per_axis("slave"))
     steps: list[float] = [getattr(body, "step", 0.0) for body in bodies]
-    return max(*steps, *[end.encoder.step for end in _devices(scene) if end and end.encoder])
+    return float(max(*steps, *[end.encoder.step for end in _devices(scene) if end and end.encoder]))
 
 
 def _devices(scene: Scene) -> tuple[Any, ...]:
