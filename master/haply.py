@@ -21,7 +21,7 @@ from math import hypot
 from select import select
 from time import monotonic_ns, thread_time_ns
 from typing import Any
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import urlsplit
 
 try:
     from master.inverse_service import WORDS, InverseService, State
@@ -30,6 +30,8 @@ except ModuleNotFoundError as error:
                       "'bilateral-teleop[haply]', or pip install websockets") from error
 from teleop.errors import DeviceError, Refused
 from teleop.live.devices.device_watchdog import DeviceWatchdog
+from teleop.live.devices.settings import Reader, axes_of, one_of, positive, within
+from teleop.live.devices.settings import settings_of as typed_settings
 from teleop.live.orders import SHARE, intake
 from teleop.physics.rotation import RotationAxes
 from teleop.protocol.endpoint import Axes, Reading
@@ -57,7 +59,7 @@ class Settings:
 
     device: str | None = None  # identifier; None: the first that is listed
     word: str | None = None  # of a force; None: as the service's settings of the device say
-    axes: str = "xyz"  # the device's axes that are the scene's, in order, each with a sign before it if it is turned
+    axes: tuple[tuple[int, float], ...] = ((0, 1.0), (1, 1.0), (2, 1.0))  # of the device, in the scene's order, signed
     origin: tuple[float, ...] = (0.0, 0.0, 0.0)  # m, in the device's frame: where the scene's positions count from
     limit: float = LIMIT  # N: a longer force is made so long
     clutch: str | None = None  # button of the grip that holds the operator's clutch open, while it is pressed
@@ -377,88 +379,47 @@ def settings_of(url: str) -> tuple[Settings, str]:
     """The settings that an address has behind its `?`, and the address before it. Raises `Refused`.
 
     >>> settings_of("ws://localhost:10001?axes=-y&limit=2")[0].axes
-    '-y'
+    ((1, -1.0),)
     """
-    parts = urlsplit(url)
+    uri, settings = typed_settings("an Inverse3", url, READ, f"haply:{URL}?axes=y&limit=2")
+    parts = urlsplit(uri)
     try:
         sound = parts.scheme == "ws" and parts.hostname and (parts.port is None or parts.port > 0)
     except ValueError:
         sound = False
     if not sound:
         raise Refused(f"an Inverse service is at ws://HOST:PORT, not {url!r}; write for example haply:{URL}")
-    pairs = parse_qsl(parts.query, keep_blank_values=True)
-    unknown = [name for name, _ in pairs if name not in READ]
-    if unknown:
-        raise Refused(f"the address of an Inverse3 has no setting {unknown[0]!r}, but {', '.join(READ)}; write for "
-                      f"example {URL}?axes=y&limit=2")
-    settings = Settings(**{name: READ[name](name, text) for name, text in pairs})
-    return settings, parts._replace(query="", fragment="").geturl()
+    return Settings(**settings), parts._replace(fragment="").geturl()
 
 
 def _text(name: str, text: str) -> str:
     if not text.isalnum():
-        raise Refused(f"an Inverse3's {name} is a word of letters and digits, not {text!r}; write {name}=a")
+        raise Refused(f"{name} is a word of letters and digits, not {text!r}; write {name.rpartition(' ')[2]}=a")
     return text
-
-
-def _word(name: str, text: str) -> str:
-    if text not in WORDS:
-        raise Refused(f"a force is told by the {name} {' or '.join(WORDS)}, not {text!r}; write {name}={WORDS[0]}")
-    return text
-
-
-def _axes(name: str, text: str) -> str:
-    letters = text.replace("-", "")
-    if not letters or set(letters) - set("xyz") or len(set(letters)) < len(letters) or "--" in text or text[-1] == "-":
-        raise Refused(f"{name} are the device's axes in the scene's order, each once, not {text!r}; write {name}=xyz, "
-                      f"or {name}=-y for one axis that is turned round")
-    return text
-
-
-def _positive(name: str, text: str) -> float:
-    number = _float(name, text)
-    if not 0.0 < number < 1e3:
-        raise Refused(f"an Inverse3's {name} is above 0 and below 1000, not {text}; write for example {name}=2")
-    return number
 
 
 def _place(name: str, text: str) -> tuple[float, ...]:
-    place = tuple(_float(name, one) for one in text.split(","))
-    if len(place) != 3 or not all(-1e3 < one < 1e3 for one in place):
-        raise Refused(f"an {name} has three numbers in m, along the device's x, y and z, not {text!r}; write for "
-                      f"example {name}=0,-0.12,0.15")
+    place = tuple([within(-1e3, 1e3)(name, each) for each in text.split(",")])
+    if len(place) != 3:
+        raise Refused(f"{name} has three numbers in m, along the device's x, y and z, not {text!r}; write for example "
+                      "origin=0,-0.12,0.15")
     return place
 
 
-def _float(name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise Refused(f"an Inverse3's {name} is made of numbers, not {text!r}") from None
-
-
-READ: dict[str, Callable[[str, str], Any]] = {
-    "device": _text, "word": _word, "axes": _axes, "origin": _place, "limit": _positive, "clutch": _text,
-    "present": _text, "deadline": _positive,
+READ: dict[str, Reader] = {
+    "device": _text, "word": one_of(*WORDS), "axes": axes_of, "origin": _place, "limit": positive, "clutch": _text,
+    "present": _text, "deadline": positive,
 }
 """How each setting is read."""
 
 
-def _rows(axes: str, scene: Scene) -> list[tuple[int, float]]:
+def _rows(axes: tuple[tuple[int, float], ...], scene: Scene) -> list[tuple[int, float]]:
     """For each axis of the scene that is a translation, the device's axis and its sign. Raises `Refused`."""
-    rows: list[tuple[int, float]] = []
-    sign = 1.0
-    for letter in axes:
-        if letter == "-":
-            sign = -1.0
-        else:
-            rows.append(("xyz".index(letter), sign))
-            sign = 1.0
     count = 3 if scene.rotations == (3,) and scene.axes == 6 else scene.axes
     if "rad" in scene.axis_units[:count]:
         raise Refused("an Inverse3 has no joints of the scene's: it tells a place, and its grip's orientation; take a "
                       "scene of one to three axes in m, or pose")
-    if count > len(rows):
-        raise Refused(f"the scene has {count} axes that are places, and the Inverse3 gives it {len(rows)} ({axes}); "
-                      "take a scene of at most three, or name more by ?axes=xyz")
-    return rows[:count]
+    if count > len(axes):
+        raise Refused(f"the scene has {count} axes that are places, and the Inverse3 gives it {len(axes)}; take a "
+                      "scene of at most three, or name more by ?axes=xyz")
+    return list(axes[:count])

@@ -343,7 +343,7 @@ WRONG = (
     ("http://localhost:10001", "ws://HOST:PORT"), ("ws://", "ws://HOST:PORT"), ("localhost:10001", "ws://HOST:PORT"),
     ("ws://localhost:99999", "ws://HOST:PORT"), ("ws://localhost?speed=1", "no setting 'speed'"),
     ("ws://localhost?axes=xx", "each once"), ("ws://localhost?axes=x-", "each once"), ("ws://h?axes=", "each once"),
-    ("ws://localhost?limit=0", "above 0"), ("ws://localhost?limit=nan", "above 0"), ("ws://h?limit=a", "numbers"),
+    ("ws://localhost?limit=0", "above 0"), ("ws://localhost?limit=nan", "finite"), ("ws://h?limit=a", "is a number"),
     ("ws://localhost?origin=1,2", "three numbers"), ("ws://localhost?word=force", "vector or values"),
     ("ws://localhost?device=a%22b", "letters and digits"),
 )

@@ -160,7 +160,7 @@ def test_the_force_of_an_end_that_is_killed_or_stopped_is_let_go_of(word: str, l
     ("refused", JOINTS, "the Franka at refused cannot be driven: libfranka: Connection to FCI refused."),
     ("robot", {"axes": "2", "units": "rad"}, "a Franka has 7 joints, and the scene 2 axes in rad"),
     ("robot?axes=xyz", {"axes": "2"}, r"the scene has 2 axes in m, and \?axes= names 3 of a Franka's hand"),
-    ("robot?axes=xx", {"axes": "2"}, "axes are the axes of its base in the scene's order, each once, not 'xx'"),
+    ("robot?axes=xx", {"axes": "2"}, "axes are the device's in the scene's order, each once, not 'xx'"),
     ("robot?axes=x-", {"axes": "1"}, "each once, not 'x-'"),
     ("robot?limit=1,2", JOINTS, "limit has 2 numbers, and there are 7 joints"),
     ("robot?realtime=no", JOINTS, "realtime is enforce or ignore, not 'no'"),

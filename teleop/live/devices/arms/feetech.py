@@ -29,8 +29,8 @@ from teleop.live.devices.arms.servo_bus import (
     TorqueArm,
     positions_alone,
 )
-from teleop.live.devices.arms.settings import for_each, ids_of, numbers, one_of, positive, settings_of, whole, within
 from teleop.live.devices.guarded_device import LiveDevice
+from teleop.live.devices.settings import for_each, ids_of, numbers, one_of, positive, settings_of, whole, within
 from teleop.protocol.endpoint import Axes
 from teleop.scene.scene import Scene
 

@@ -25,8 +25,8 @@ from time import monotonic, monotonic_ns, sleep
 from typing import IO, Any
 
 from teleop.errors import DeviceError, Refused, number_of
-from teleop.live.devices.arms.settings import for_each, numbers, one_of, settings_of, within
 from teleop.live.devices.device_watchdog import module_path
+from teleop.live.devices.settings import axes_of, for_each, numbers, one_of, settings_of, within
 from teleop.live.process.realtime import run_first
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.protocol.guard import DEADLINE
@@ -48,28 +48,7 @@ AGAIN_S = 0.25  # between two attempts to go on after a lost connection
 TRIES = 1000  # to read a state that is being written
 SLEW = 0.9  # N m in a millisecond; the robot takes 1 at most
 PRIORITY = 80  # asked for under SCHED_FIFO
-
-
-def _axes(name: str, text: str) -> tuple[tuple[int, float], ...]:
-    """Read the robot's axes that are the scene's, each with its sign: "xyz", "-z"."""
-    axes: list[tuple[int, float]] = []
-    sign = 1.0
-    for letter in text:
-        if letter == "-" and sign > 0.0:
-            sign = -1.0
-        elif letter in "xyz" and "xyz".index(letter) not in [i for i, _ in axes]:
-            axes.append(("xyz".index(letter), sign))
-            sign = 1.0
-        else:
-            axes.clear()
-            break
-    if not axes or sign < 0.0:
-        raise Refused(f"{name} are the axes of its base in the scene's order, each once, not {text!r}; write axes=xyz, "
-                      "or axes=-z for one axis that is turned round")
-    return tuple(axes)
-
-
-READERS = {"axes": _axes, "limit": numbers, "damping": within(0.0, 20.0), "realtime": one_of("enforce", "ignore")}
+READERS = {"axes": axes_of, "limit": numbers, "damping": within(0.0, 20.0), "realtime": one_of("enforce", "ignore")}
 LIMIT = {True: 20.0, False: 10.0}  # N at the hand, N m at a joint: chosen, not the robot's own
 
 

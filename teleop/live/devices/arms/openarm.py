@@ -24,7 +24,7 @@ except ModuleNotFoundError as error:
                       "'bilateral-teleop[openarm]', or pip install python-can") from error
 from teleop.errors import DeviceError, Refused, number_of
 from teleop.live.devices.arms.sdk_chain import bus_ids
-from teleop.live.devices.arms.settings import for_each, ids_of, numbers, one_of, settings_of, whole, within
+from teleop.live.devices.settings import for_each, ids_of, numbers, one_of, settings_of, whole, within
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.protocol.guard import DEADLINE
 from teleop.scene.scene import Scene

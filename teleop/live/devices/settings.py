@@ -1,4 +1,4 @@
-"""Settings of an arm behind the `?` of its address, as they are typed: `feetech:/dev/ttyACM0?ids=1-6&limit=0.5`."""
+"""Settings behind the `?` of a device's address, as they are typed: `feetech:/dev/ttyACM0?ids=1-6&limit=0.5`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Reader = Callable[[str, str], Any]
 """Reads the text of a setting, of the name that is handed over first. Raises `Refused`."""
 
 
-def settings_of(arm: str, text: str, readers: Mapping[str, Reader], example: str) -> tuple[str, dict[str, Any]]:
+def settings_of(device: str, text: str, readers: Mapping[str, Reader], example: str) -> tuple[str, dict[str, Any]]:
     """Return the address before the `?` and the settings behind it by name, those that were typed. Raises `Refused`.
 
     >>> settings_of("arm", "can0?rate=500", {"rate": positive}, "arm:can0")
@@ -23,15 +23,15 @@ def settings_of(arm: str, text: str, readers: Mapping[str, Reader], example: str
         raise Refused(f"{text!r} has no address before its settings; write for example {example}")
     pairs = parse_qsl(query, keep_blank_values=True)
     if mark and not all("=" in part for part in query.split("&")):
-        raise Refused(f"the settings {query!r} of {arm} cannot be read; each is NAME=VALUE, with & between them: "
+        raise Refused(f"the settings {query!r} of {device} cannot be read; each is NAME=VALUE, with & between them: "
                       f"{example}")
     settings: dict[str, Any] = {}
     for name, value in pairs:
         if name not in readers:
-            raise Refused(f"{arm} has no setting {name!r}; {nearest(name, readers)}; write for example {example}")
+            raise Refused(f"{device} has no setting {name!r}; {nearest(name, readers)}; write for example {example}")
         if name in settings:
-            raise Refused(f"{arm} has its setting {name} twice; write it once")
-        settings[name] = readers[name](f"{arm}'s {name}", value)
+            raise Refused(f"{device} has its setting {name} twice; write it once")
+        settings[name] = readers[name](f"{device}'s {name}", value)
     return address, settings
 
 
@@ -108,3 +108,26 @@ def _real(name: str, text: str) -> float:
         return float(text)
     except ValueError:
         raise Refused(f"{name} is a number, not {text!r}") from None
+
+
+def axes_of(name: str, text: str) -> tuple[tuple[int, float], ...]:
+    """Read the device's axes that are the scene's, in order, each with its sign.
+
+    >>> axes_of("axes", "-zx")
+    ((2, -1.0), (0, 1.0))
+    """
+    axes: list[tuple[int, float]] = []
+    sign = 1.0
+    for letter in text:
+        if letter == "-" and sign > 0.0:
+            sign = -1.0
+        elif letter in "xyz" and "xyz".index(letter) not in [i for i, _ in axes]:
+            axes.append(("xyz".index(letter), sign))
+            sign = 1.0
+        else:
+            axes.clear()
+            break
+    if not axes or sign < 0.0:
+        raise Refused(f"{name} are the device's in the scene's order, each once, not {text!r}; write axes=xyz, or "
+                      "axes=-z for one axis that is turned round")
+    return tuple(axes)
