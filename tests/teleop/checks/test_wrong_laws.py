@@ -172,7 +172,7 @@ LAWS: dict[str, Wrong] = {
             KEEPS),
     },
 }
-NIGHTLY = {"wave_filter", "wave_matched", "wave_scaled", "wave_prediction", "pspm"}
+NIGHTLY = {"wave_filter", "wave_matched", "wave_scaled", "wave_prediction", "pspm", "two_layer"}
 
 
 def wrong_law(monkeypatch: pytest.MonkeyPatch, module: str, *changes: tuple[str, str], **knobs: float) -> Any:

@@ -79,8 +79,11 @@ class TestASweepOfOtherAxes:
 
 
 class TestAStudy:
-    def test_of_precision_has_its_methods_and_error_over_run_time(self, typed: Typed) -> None:
+    def test_of_precision_has_its_methods_and_error_over_run_time(
+            self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.importorskip("mpmath")
+        for name, few in (("TOLERANCES", (1e-6,)), ("SUBSTEPS", (1, 4))):
+            monkeypatch.setattr(f"teleop.analysis.precision.measure.{name}", few)
         typed("precision", "canonical", "--set", "duration=0.1", "--rounds", "1", "--out", "p")
         told = typed("report", "p")
         assert told.out.startswith("precision")

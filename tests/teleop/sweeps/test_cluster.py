@@ -32,7 +32,8 @@ pytestmark = pytest.mark.live
 AXES: dict[Any, Any] = {"law": ["wave", "direct", "pfra"], "k_e": [100.0, 400.0]}
 FIXED = {"duration": 0.3, "link": "delay(0.01) | uniform(0.02) | bernoulli(0.1)"}
 LONG: dict[Any, Any] = {"k_e": [100.0, 400.0]}  # with 60 seeds long enough to kill something meanwhile
-ENV = {"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"}
+ENV = {"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "OPENBLAS_NUM_THREADS": "1",
+       "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}  # a chunk is given up when one worker has died of it
 OWN = """
 from scenarios.soft_tissue import scene as tissue
 def scene(*, k_e: float = 300.0, duration: float = 0.2):
@@ -58,8 +59,8 @@ def lines(folder: Path) -> list[int]:
 class Rig:
     """A scheduler and the workers that are started for it, each a process."""
 
-    def __init__(self, folder: Path, **env: str) -> None:
-        self.folder, self.env, self.processes = folder, {**ENV, **env}, []  # type: ignore[var-annotated]  # of Popen
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.processes = folder, []  # type: ignore[var-annotated]  # of Popen
         told = folder / "scheduler.json"
         self.scheduler = self.start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(told))
         until(lambda: told.is_file() and told.read_text().endswith("}"))
@@ -71,7 +72,7 @@ class Rig:
     def start(self, role: str, *words: str, **env: str) -> subprocess.Popen[bytes]:
         log = (self.folder / f"{role}{len(self.processes)}.log").open("wb")
         started = subprocess.Popen([sys.executable, "-m", f"distributed.cli.dask_{role}", "--no-dashboard", *words],
-                                   cwd=self.folder, env={**self.env, **env}, stdout=log, stderr=log)
+                                   cwd=self.folder, env={**ENV, **env}, stdout=log, stderr=log)
         self.processes.append(started)
         return started
 
@@ -82,6 +83,12 @@ class Rig:
         started = [self.start("worker", *words, **env) for _ in range(number)]
         until(lambda: len(self.client.nthreads()) == wanted)
         return started
+
+    def kill_workers(self) -> None:
+        """Leave the scheduler without a worker."""
+        for process in self.processes[1:]:
+            process.kill()
+        until(lambda: not self.client.nthreads())
 
     def tasks(self) -> int:
         """How many chunks the scheduler knows of."""
@@ -96,17 +103,9 @@ class Rig:
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """Two workers that stay."""
+    """A scheduler that gives a chunk up as soon as one worker has died of it, and two workers."""
     made = Rig(tmp_path_factory.mktemp("rig"))
     made.workers(2)
-    yield made
-    made.end()
-
-
-@pytest.fixture(scope="module")
-def frail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """A scheduler that gives a chunk up as soon as one worker has died of it, and no worker yet."""
-    made = Rig(tmp_path_factory.mktemp("frail"), DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0")
     yield made
     made.end()
 
@@ -168,7 +167,7 @@ class TestTheRows:
         assert far.counts() == {"ok": 2, "refused": 1}
 
     def test_outlive_a_worker_that_is_killed(self, rig: Rig, tmp_path: Path, small: None) -> None:
-        """In a folder; in memory in `TestAFrailCluster`."""
+        """What it held is asked for once more."""
         kill, before = Killer(rig), rig.tasks()
         told: list[int] = []
 
@@ -348,52 +347,46 @@ class TestAWorker:
 
 
 class TestAFrailCluster:
-    """In this order: without a worker, with wrong ones, with ones that die, without a scheduler."""
+    """In this order: with workers that die, without one, with a wrong one, without a scheduler."""
 
-    def test_without_a_worker_is_waited_for_and_given_up(self, frail: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(cluster, "WORKERLESS", 3.0)
-        monkeypatch.setattr(cluster, "HINT", 1.0)
-        told: list[str] = []
-        said = f"dask worker {frail.address}"
-        with pytest.raises(Refused, match=said), connected(frail.address, told.append) as pool:
-            sweep("soft_tissue", fixed=FIXED, executor=pool)
-        assert [said in sentence for sentence in told] == [True]
-        until(lambda: frail.tasks() == 0)
-
-    def test_whose_worker_has_another_teleop_is_refused(self, frail: Rig, tmp_path: Path) -> None:
-        (tmp_path / "teleop").mkdir()
-        (tmp_path / "teleop" / "__init__.py").write_text("")
-        worker, = frail.workers(1, PYTHONPATH=str(tmp_path))
-        with pytest.raises(Refused, match=r"lacks teleop.*pip install bilateral-teleop=="):
-            sweep("soft_tissue", fixed=FIXED, executor=frail.client.get_executor())
-        worker.kill()
-        until(lambda: not frail.client.nthreads())
-
-    def test_that_gives_a_chunk_up_is_asked_once_more(self, frail: Rig, small: None) -> None:
-        frail.workers(2)
-        kill = Killer(frail)
-        far = sweep("soft_tissue", LONG, seeds=60, fixed=FIXED, executor=frail.client.get_executor(), show=kill)
-        assert kill.held > 0
-        assert rows(far) == near_rows()
-
-    def test_whose_workers_die_of_a_row_ends_the_sweep_with_it(self, frail: Rig) -> None:
+    def test_whose_workers_die_of_a_row_ends_the_sweep_with_it(self, rig: Rig) -> None:
         def deadly(result: Result) -> float:
             os.kill(os.getpid(), signal.SIGKILL)
             return float(result.ticks)
 
-        frail.workers(1)
+        rig.workers(2 - len(rig.client.nthreads()))
         with pytest.raises(Refused, match=r"held row 0, .*the same command goes on"):
-            sweep("soft_tissue", fixed=FIXED, metrics=[deadly], executor=frail.client.get_executor())
-        until(lambda: not frail.client.nthreads())
+            sweep("soft_tissue", fixed=FIXED, metrics=[deadly], executor=rig.client.get_executor())
+        until(lambda: not rig.client.nthreads())
 
-    def test_that_is_lost_loses_no_row(self, frail: Rig, tmp_path: Path, small: None) -> None:
+    def test_without_a_worker_is_waited_for_and_given_up(self, rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+        rig.kill_workers()
+        monkeypatch.setattr(cluster, "WORKERLESS", 3.0)
+        monkeypatch.setattr(cluster, "HINT", 1.0)
+        told: list[str] = []
+        said, before = f"dask worker {rig.address}", rig.tasks()
+        with pytest.raises(Refused, match=said), connected(rig.address, told.append) as pool:
+            sweep("soft_tissue", fixed=FIXED, executor=pool)
+        assert [said in sentence for sentence in told] == [True]
+        until(lambda: rig.tasks() <= before)
+
+    def test_whose_worker_has_another_teleop_is_refused(self, rig: Rig, tmp_path: Path) -> None:
+        rig.kill_workers()
+        (tmp_path / "teleop").mkdir()
+        (tmp_path / "teleop" / "__init__.py").write_text("")
+        rig.workers(1, PYTHONPATH=str(tmp_path))
+        with pytest.raises(Refused, match=r"lacks teleop.*pip install bilateral-teleop=="):
+            sweep("soft_tissue", fixed=FIXED, executor=rig.client.get_executor())
+
+    def test_that_is_lost_loses_no_row(self, rig: Rig, tmp_path: Path, small: None) -> None:
         def end(done: int, _: int) -> None:
             if done >= 10:
-                frail.scheduler.kill()
+                rig.scheduler.kill()
 
-        frail.workers(1)
+        rig.kill_workers()
+        rig.workers(1)
         plan = plan_sweep("soft_tissue", LONG, seeds=60, fixed=FIXED)
-        with pytest.raises(Refused, match=r"is gone.*the same command goes on"), connected(frail.address) as pool:
+        with pytest.raises(Refused, match=r"is gone.*the same command goes on"), connected(rig.address) as pool:
             carry_out(plan, executor=pool, out=tmp_path / "s", show=end)
         there = lines(tmp_path / "s")
         assert 10 <= len(there) == len(set(there)) < 120
