@@ -129,7 +129,7 @@ def test_a_file_that_comes_meanwhile_is_not_overwritten(typed: Typed, here: Path
 def test_memory_does_not_go_with_the_length_of_the_run(tmp_path: Path) -> None:
     """A run of three times the length takes hardly more: chunk indices, and the times of a block."""
     peaks = []
-    for name, ticks in (("short", 4_500), ("long", 15_000)):
+    for name, ticks in (("short", 3_000), ("long", 9_000)):
         LiveEnd(tmp_path / name, "m", range(ticks), knobs={"duration": "200"}).close()
         parts = read_parts(tmp_path / name, trust=False)  # which makes it whole, in memory for a column
         tracemalloc.start()
