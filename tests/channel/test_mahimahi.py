@@ -31,7 +31,7 @@ def simulated(trace: list[int], sent_ns: list[int], each: int, queue: int, start
     return left
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(trace=st.lists(st.integers(0, 30), min_size=1, max_size=20).map(sorted).filter(lambda t: t[-1] > 0),
        gaps=st.lists(st.integers(0, 5_000_000), min_size=1, max_size=60), size=st.sampled_from([100, 400, 700, 1500]),
        queue=st.integers(1, 9), start_ms=st.integers(0, 50))

@@ -44,7 +44,7 @@ def streamed(
     return stream, out
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(data=st.data(), dt_ns=st.sampled_from([1, 3, 1000, 333_333, MS]), count=st.integers(0, 120))
 def test_the_stream_gives_the_arrivals(every_effect: list[Effect], data: st.DataObject, dt_ns: int, count: int) -> None:
     """For any chain: reordering before queues, copies, ties of many packets in one nanosecond, any polling."""

@@ -132,7 +132,7 @@ def test_sealed_data_comes_through_as_long_as_it_says_and_of_the_epoch_of_data(e
 
 
 @linux
-@settings(max_examples=150)
+@settings(max_examples=75)
 @given(data=st.data())
 def test_the_kernel_judges_as_the_shapes_read(ends: Ends, data: st.DataObject) -> None:
     """Against the same rules written in Python, over small alphabets so that both verdicts are common."""

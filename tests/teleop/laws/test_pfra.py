@@ -44,7 +44,7 @@ def size(f: Vector) -> float:
 
 
 @given(f_env=force, f_h_hat=force, kf=gain)
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_in_one_axis_it_is_the_reflected_force_clipped_between_nothing_and_the_hands(
         f_env: float, f_h_hat: float, kf: float) -> None:
     if f_h_hat * f_h_hat < EPS:
@@ -54,7 +54,7 @@ def test_in_one_axis_it_is_the_reflected_force_clipped_between_nothing_and_the_h
 
 
 @given(forces=vector, kf=gain)
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_with_alpha_0_it_never_pushes_with_the_hand_nor_harder_than_the_hand(
         forces: tuple[Vector, Vector], kf: float) -> None:
     """<f_r, f_h_hat> >= 0 and |f_r| <= |f_h_hat|, the whole vectors'."""

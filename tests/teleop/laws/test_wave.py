@@ -62,7 +62,7 @@ gains = st.one_of(st.just(0.0), spread(1e-2, 1e9))
 
 @given(b=spread(1e-3, 1e3), K=gains, B=st.one_of(st.just(0.0), spread(1e-3, 1e4)), dt=spread(1e-5, 1e-1),
        u=motion, v=motion, x=st.floats(-0.01, 0.01))
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_the_slaves_power_is_that_of_its_waves(
         b: float, K: float, B: float, dt: float, u: float, v: float, x: float) -> None:
     """With the x_d that the tick ends with, at any stiffness: (u^2 - w^2)/2 = f_s v_d.

@@ -17,7 +17,7 @@ from teleop.physics.plant import MassDamper, Plant, free_space
 from teleop.physics.sdirk import WALL
 from tests.teleop.physics.motions import Case, either_sign, struck, ten_to
 
-quiet = settings(max_examples=120)
+quiet = settings(max_examples=60)
 
 
 any_case = st.builds(

@@ -76,7 +76,7 @@ def test_released_is_said_when_the_gain_rises_and_not_before() -> None:
     assert one.events[-1][:2] == (rises, "released") == (213, "released")
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(st.lists(st.booleans(), max_size=120), st.floats(0.0, 0.2), st.floats(0.0, 0.2))
 def test_by_silence_alone_it_is_the_watchdog_of_virtual_time(came: list[bool], ramp: float, settle: float) -> None:
     dog = Watchdog(timeout=0.1, ramp=ramp, settle=settle)

@@ -228,7 +228,7 @@ def test_damage_is_never_taken_for_a_packet(packet: Packet, seed: int) -> None:
 # --- replay
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(st.lists(st.integers(-8, 6), max_size=80), st.integers(1, 6), st.integers(0, 4))
 def test_the_window_agrees_with_a_set_of_all_numbers(steps: list[int], ahead: int, more: int) -> None:
     size = ahead + more

@@ -83,7 +83,7 @@ def told_tick_by_tick(playout: Playout, arrivals: Arrivals, count: int) -> Plan:
 # --- plan
 
 
-@settings(max_examples=150)
+@settings(max_examples=75)
 @given(playouts, schedules())
 def test_plan_is_the_definition(playout: Playout, schedule: tuple[int, Arrivals]) -> None:
     count, arrivals = schedule
@@ -151,7 +151,7 @@ def counters(inbox: Inbox[str]) -> dict[str, int]:
 flags = st.lists(st.booleans(), min_size=30, max_size=30)
 
 
-@settings(max_examples=150)
+@settings(max_examples=75)
 @given(playouts, schedules(), st.sampled_from([0, 1, 4, 15, 1000]), st.none() | flags, st.none() | flags)
 def test_an_inbox_plays_and_counts_what_was_planned(
     playout: Playout, schedule: tuple[int, Arrivals], early: int, sends: list[bool] | None, skips: list[bool] | None
@@ -183,7 +183,7 @@ def test_an_inbox_plays_and_counts_what_was_planned(
         expected.received + expected.lost + expected.in_flight)
 
 
-@settings(max_examples=120)
+@settings(max_examples=60)
 @given(playouts, schedules(), st.lists(strides, min_size=1, max_size=30), st.integers(0, 4))
 def test_skipped_ticks_and_late_puts_keep_the_rule(
     playout: Playout, schedule: tuple[int, Arrivals], steps: list[int], behind: int

@@ -60,7 +60,7 @@ def test_the_force_ramps_to_zero_in_the_ramps_time_and_back_in_the_same(dt: floa
 
 @given(packets=st.sets(st.integers(0, 150)), patience=st.integers(1, 8), wait=st.integers(0, 20),
        ramp=st.integers(0, 9))
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_after_a_silence_the_gain_rises_when_packets_that_were_never_far_apart_span_the_time(
         packets: set[int], patience: int, wait: int, ramp: int) -> None:
     dt, before = 1e-3, 1.0

@@ -43,7 +43,7 @@ def drives(f: float, along: float) -> bool:
 
 
 @given(f=forces, part=st.one_of(st.floats(-1.5, 1.5), st.floats(0.85, 1.05)), v_max=st.floats(1e-9, 10.0))
-@settings(max_examples=150)
+@settings(max_examples=75)
 def test_what_drives_fades_linearly_up_to_the_cap_and_what_brakes_stays(f: float, part: float, v_max: float) -> None:
     along = part * v_max
     got = limit_speed(speed_of(v_max), f, along)
@@ -58,7 +58,7 @@ def test_what_drives_fades_linearly_up_to_the_cap_and_what_brakes_stays(f: float
 
 @given(asked=st.lists(forces, max_size=60), v_max=st.floats(0.01, 1.0), mass=st.floats(0.05, 2.0),
        f_max=st.floats(0.1, 100.0), start=st.floats(-1.0, 1.0))
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_a_body_is_never_driven_above_the_cap_but_for_what_a_tick_of_full_force_gives(
         asked: list[float], v_max: float, mass: float, f_max: float, start: float) -> None:
     limits, bound, v = speed_of(v_max, f_max), max(v_max, 0.9 * v_max + f_max * DT / mass), start * v_max
@@ -71,7 +71,7 @@ def test_a_body_is_never_driven_above_the_cap_but_for_what_a_tick_of_full_force_
 
 
 @given(left=st.floats(-2.0, 1.0), f=forces, along=speeds)
-@settings(max_examples=150)
+@settings(max_examples=75)
 def test_an_empty_budget_lets_through_what_brakes_and_one_that_owes_a_second_nothing(
         left: float, f: float, along: float) -> None:
     got = limit_power(budget_of(1.0), left, f, along)
@@ -105,7 +105,7 @@ steps = st.floats(-2e-3, 2e-3)
 
 
 @given(ticks=st.lists(st.tuples(forces, steps), max_size=80), power=st.floats(1e-3, 10.0))
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_where_the_reading_tells_the_motion_no_window_has_more_than_a_seconds_energy_and_a_ticks(
         ticks: list[tuple[float, float]], power: float) -> None:
     work = drawn([(f, dx / DT, dx) for f, dx in ticks], power)
@@ -114,7 +114,7 @@ def test_where_the_reading_tells_the_motion_no_window_has_more_than_a_seconds_en
 
 
 @given(ticks=st.lists(st.tuples(forces, speeds, steps), max_size=80), power=st.floats(1e-3, 10.0))
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_whatever_the_device_does_no_window_has_more_than_two(
         ticks: list[tuple[float, float, float]], power: float) -> None:
     most = max((abs(f * dx) for f, _, dx in ticks), default=0.0)

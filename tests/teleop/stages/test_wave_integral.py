@@ -396,7 +396,7 @@ knobs = st.builds(
 
 
 @given(st.lists(st.tuples(messages, st.integers(1, 5)), max_size=12), knobs | st.just(Energy()))
-@asked(max_examples=150)
+@asked(max_examples=75)
 def test_whatever_a_peer_sends_is_played_within_the_energy_that_it_sent(
         heard: list[tuple[Integrals, int]], playout: Gaps) -> None:
     """Of each tick: its energy is at most S; a wave is at most 2 S/|D|; and all is finite."""

@@ -130,7 +130,7 @@ matrices = st.lists(st.complex_numbers(max_magnitude=4.0), min_size=4, max_size=
 
 
 class TestCriteria:
-    @settings(max_examples=300)
+    @settings(max_examples=150)
     @given(port=matrices)
     def test_llewellyn_is_the_scattering_test(self, port: TwoPort) -> None:
         """mu > 1 of the scattering matrix (Edwards and Sinsky 1992), which has none of the same terms."""
@@ -144,14 +144,14 @@ class TestCriteria:
         if edge > 1e-6:
             assert bool(port.absolutely_stable[0]) == (mu > 1.0)
 
-    @settings(max_examples=100)
+    @settings(max_examples=50)
     @given(port=matrices, resistance=st.floats(0.0, 50.0), reactance=st.floats(-50.0, 50.0))
     def test_what_is_felt_of_any_passive_environment_is_passive(
             self, port: TwoPort, resistance: float, reactance: float) -> None:
         if port.absolutely_stable[0]:
             assert port.perceived_impedance(np.array([complex(resistance, reactance)]))[0].real >= -1e-6
 
-    @settings(max_examples=100)
+    @settings(max_examples=50)
     @given(port=matrices)
     def test_raisbeck_is_the_determinant_of_the_hermitian_part(self, port: TwoPort) -> None:
         h = port.h[0]

@@ -161,7 +161,7 @@ gaps = st.sampled_from([0, 0, 0, 1, 3])
 
 @given(st.lists(st.tuples(waves, gaps, gaps), min_size=2, max_size=40), st.integers(1, 5),
        st.sampled_from([1e-3, 1e-4, 0.1]), st.randoms(use_true_random=False), st.integers(0, 30))
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_every_honest_message_adds_up_in_whatever_order_and_number(
     waves: list[tuple[float, int, int]], every: int, dt: float, dice: object, near: int
 ) -> None:
@@ -184,7 +184,7 @@ def test_a_steady_wave_adds_up_after_millions_of_ticks() -> None:
 
 @given(st.lists(st.builds(Integrals, *[st.floats(-inf, inf, allow_nan=False, allow_infinity=False)] * 3), max_size=8))
 @example([Integrals(2e-3, 1e-3, 0.0)])  # energy that is taken back while the integral stands
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_whatever_is_taken_grows_with_its_number(told: list[Integrals]) -> None:
     sums, taken = IntegralCheck(1e-3, 1), [Integrals(0.0, 0.0, 0.0)]
     for k, each in enumerate([Integrals(1e-3, 1e-3, 1e-3), *told]):

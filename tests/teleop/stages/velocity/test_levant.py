@@ -18,7 +18,7 @@ bounds = st.sampled_from([0.1, 1.0, 30.0])
 
 @given(L=bounds, z0=st.floats(-1.0, 1.0), z1=st.floats(-1.0, 1.0), span=st.sampled_from([1e-4, 1e-3, 5e-3]),
        off=st.floats(-1e-2, 1e-2) | st.floats(-2e-6, 2e-6))
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_a_step_solves_the_implicit_equations(L: float, z0: float, z1: float, off: float, span: float) -> None:
     """Both right sides at the end of the step; the sign is one number, of [-1, 1] where sigma is zero."""
     x = z0 + span * z1 - off
