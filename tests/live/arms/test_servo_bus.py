@@ -95,7 +95,8 @@ def test_a_servo_that_does_not_answer_is_one_sentence_and_blocks_no_tick(
 
 
 @pytest.mark.parametrize(("kind", "flags", "words"), [
-    (Feetech, 4, "it is too hot"), (Feetech, 4 | 32, "it is too hot and it is overloaded"),
+    (Feetech, 4, "it is too hot (31 degrees Celsius)"),
+    (Feetech, 4 | 32, "it is too hot and it is overloaded (31 degrees Celsius)"),
     (Dynamixel, 0x80, "it is too hot")])
 def test_a_servo_that_is_too_hot_makes_the_chain_limp_until_it_is_cool(
     kind: type[Servos], flags: int, words: str, opened: Callable[..., Any]

@@ -44,7 +44,9 @@ POSITION_MODE, PWM_MODE = 0, 2
 FASTEST = 254  # acceleration: the servo itself smooths no goal
 FULL = 1000  # PWM, and limit of the torque, of 100 %
 SIGN, PWM_SIGN = 1 << 15, 1 << 10  # bits
-FLAGS = {1: "its supply voltage is out of range", 2: "its angle sensor fails", 4: "it is too hot",
+HOT = 4
+TEMPERATURE_AT = 12  # in an answer that has PRESENT
+FLAGS = {1: "its supply voltage is out of range", 2: "its angle sensor fails", HOT: "it is too hot",
          8: "its current is too high", 32: "it is overloaded"}
 SLOW_US = 100  # that a servo waits before it answers
 
@@ -140,6 +142,8 @@ class FeetechChain(SdkChain):
     def check_flags(self, servo: int, flags: int) -> None:
         """Raise `ServoFault` for what a servo reports of itself."""
         words = [text for bit, text in FLAGS.items() if flags & bit]
+        if flags & HOT and len(self._packet) > TEMPERATURE_AT + 1:
+            words[-1] += f" ({self._packet[TEMPERATURE_AT]} degrees Celsius)"
         if words:
             raise ServoFault(f"servo {servo} on {self.port} reports: {' and '.join(words)}; all torques are off until "
                              "it reports nothing")
