@@ -144,11 +144,11 @@ class DynamixelChain(SdkChain):
         """Return how many bytes an answer brings, beside its instruction, its error and its checksum."""
         return packet[5] + (packet[6] << 8) - 4
 
-    def check_flags(self, servo: int, flags: int) -> None:
+    def check_flags(self, servo: int, flags: int, data: bytes) -> None:
         """Raise `ServoFault` for what a servo reports of itself, `DeviceError` for what it did not take."""
         if flags & ALERT:
-            data, result, _ = self._packets.readTxRx(self._handler, servo, *FAULTS)
-            faults = data[0] if result == self._sdk.COMM_SUCCESS and data else 0
+            found, result, _ = self._packets.readTxRx(self._handler, servo, *FAULTS)
+            faults = found[0] if result == self._sdk.COMM_SUCCESS and found else 0
             words = [text for bit, text in FAULT_TEXT.items() if faults & bit] or ["it has an error of its hardware"]
             raise ServoFault(f"servo {servo} on {self.port} reports: {' and '.join(words)}; all torques are off until "
                              "it reports nothing (a restart of the servo clears it)")

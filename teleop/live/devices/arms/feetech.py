@@ -45,7 +45,6 @@ FASTEST = 254  # acceleration: the servo itself smooths no goal
 FULL = 1000  # PWM, and limit of the torque, of 100 %
 SIGN, PWM_SIGN = 1 << 15, 1 << 10  # bits
 HOT = 4
-TEMPERATURE_AT = 12  # in an answer that has PRESENT
 FLAGS = {1: "its supply voltage is out of range", 2: "its angle sensor fails", HOT: "it is too hot",
          8: "its current is too high", 32: "it is overloaded"}
 SLOW_US = 100  # that a servo waits before it answers
@@ -139,11 +138,11 @@ class FeetechChain(SdkChain):
         """Return how many bytes an answer brings, beside its error and its checksum."""
         return packet[3] - 2
 
-    def check_flags(self, servo: int, flags: int) -> None:
+    def check_flags(self, servo: int, flags: int, data: bytes) -> None:
         """Raise `ServoFault` for what a servo reports of itself."""
         words = [text for bit, text in FLAGS.items() if flags & bit]
-        if flags & HOT and len(self._packet) > TEMPERATURE_AT + 1:
-            words[-1] += f" ({self._packet[TEMPERATURE_AT]} degrees Celsius)"
+        if flags & HOT and len(data) == PRESENT[1]:
+            words[-1] += f" ({data[-1]} degrees Celsius)"
         if words:
             raise ServoFault(f"servo {servo} on {self.port} reports: {' and '.join(words)}; all torques are off until "
                              "it reports nothing")

@@ -123,14 +123,14 @@ class SdkChain:
         """Read one number of a servo's table."""
         data, result, flags = self._calling(
             servo, lambda: self._packets.readTxRx(self._handler, servo, address, length), clear=True)
-        return int.from_bytes(self._checked(servo, data, result, flags, length), "little")
+        return int.from_bytes(self._checked(servo, data, result, flags, self._had(result), length), "little")
 
     def write_register(self, servo: int, address: int, length: int, value: int) -> None:
         """Write one number of a servo's table, and see that it was taken."""
         data = list((value % (1 << 8 * length)).to_bytes(length, "little"))
         result, flags = self._calling(
             servo, lambda: self._packets.writeTxRx(self._handler, servo, address, length, data), clear=True)
-        self._checked(servo, b"", result, flags, 0)
+        self._checked(servo, b"", result, flags, 0, 0)
 
     def read_block(self, address: int, length: int) -> list[bytes]:
         """Read a piece of every servo's table with one request."""
@@ -139,12 +139,20 @@ class SdkChain:
             self._handler, address, length, list(self.ids), len(self.ids), *rest), clear=True)
         if result != self._sdk.COMM_SUCCESS:
             raise DeviceError(f"{self.port} did not take a request of {self.name}")
-        return [self._take(each, length) for each in self.ids]
+        answers = []
+        for each in self.ids:  # all of them, before one that reports an error is asked for more: they share the line
+            answers.append((each, *self._receive(each, length)))
+            if answers[-1][2] != self._sdk.COMM_SUCCESS:
+                break
+        return [self._checked(*answer, length) for answer in answers]
 
-    def _take(self, servo: int, length: int) -> bytes:
-        """Take the answer of one servo to a request to all."""
+    def _receive(self, servo: int, length: int) -> tuple[Any, int, int, int]:
+        """Receive the answer of one servo to a request to all: its bytes, the result, its error, how many bytes."""
         data, result, flags = self._calling(servo, lambda: self._packets.readRx(self._handler, servo, length))
-        return self._checked(servo, data, result, flags, length)
+        return data, result, flags, self._had(result)
+
+    def _had(self, result: int) -> int:
+        return self.length_of(self._packet) if result == self._sdk.COMM_SUCCESS else 0
 
     def write_all(self, address: int, length: int, values: list[int]) -> None:
         """Write a number of every servo's table with one packet, which none answers."""
@@ -173,15 +181,16 @@ class SdkChain:
         finally:
             self._handler.is_using = False
 
-    def _checked(self, servo: int, data: Any, result: int, flags: int, length: int) -> bytes:
+    def _checked(self, servo: int, data: Any, result: int, flags: int, had: int, length: int) -> bytes:
+        """Return the bytes of an answer that has `had` of them, for `length`. Raises `DeviceError`."""
         if result == self._sdk.COMM_RX_TIMEOUT:
             raise DeviceError(f"servo {servo} on {self.port} does not answer")
         if result == self._sdk.COMM_RX_CORRUPT:
             raise DeviceError(f"servo {servo} on {self.port} answered with a packet that is damaged")
         if result != self._sdk.COMM_SUCCESS:
             raise DeviceError(f"{self.port} did not take a request to servo {servo}")
-        self.check_flags(servo, flags)
-        if (had := self.length_of(self._packet)) != length:  # the SDKs take the checksum of a short one for a byte
+        self.check_flags(servo, flags, bytes(data))
+        if had != length:  # the SDKs take the checksum of a short one for a byte
             raise DeviceError(f"servo {servo} on {self.port} answered with {number_of(had, 'byte')} of {length}")
         return bytes(data)
 
@@ -189,7 +198,7 @@ class SdkChain:
         """Return how many bytes an answer brings."""
         raise NotImplementedError
 
-    def check_flags(self, servo: int, flags: int) -> None:
+    def check_flags(self, servo: int, flags: int, data: bytes) -> None:
         """Raise `ServoFault` for an error that a servo reports in an answer."""
 
 
