@@ -11,7 +11,7 @@ themselves.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from inspect import signature
 
 try:
     import dynamixel_sdk
@@ -65,6 +65,8 @@ class DynamixelChain(SdkChain):
                  kt: tuple[float, ...] | None = None, limit: tuple[float, ...] | None = None,
                  unit: tuple[float, ...] | None = None) -> None:
         super().__init__(dynamixel_sdk, dynamixel_sdk.PacketHandler(2.0), "dynamixel", port, baud, ids, timeout)
+        if "fast_option" in signature(self._packets.syncReadTx).parameters:  # since version 4 of the SDK
+            self.read_options = (False,)  # a status packet from each servo
         self.notes: list[str] = []
         self._kt, self._limit, self._unit = [None if each is None else for_each(f"dynamixel's {name}", each, len(ids))
                                              for name, each in (("kt", kt), ("limit", limit), ("unit", unit))]
@@ -154,9 +156,6 @@ class DynamixelChain(SdkChain):
                              "it reports nothing (a restart of the servo clears it)")
         if flags:
             raise DeviceError(f"servo {servo} on {self.port} {ERRORS.get(flags, f'answered with error {flags}')}")
-
-    def _sync_read_rest(self) -> tuple[Any, ...]:
-        return (False,)  # one status packet from each servo
 
 
 def dynamixel_bus(scene: Scene, argument: str) -> ServoBus:

@@ -67,6 +67,7 @@ class SdkChain:
         self.name, self.port, self.baud, self.timeout_ms = name, port, baud, timeout_ms
         self.ids, self.signs = tuple(each for each, _ in ids), tuple(sign for _, sign in ids)
         self._sdk, self._packets, self._handler = sdk, packets, sdk.PortHandler(port)
+        self.read_options: tuple[Any, ...] = ()  # further arguments of the SDK's sync read
         self._packet: list[int] = []  # that came last
         receive = packets.rxPacket
 
@@ -134,9 +135,8 @@ class SdkChain:
 
     def read_block(self, address: int, length: int) -> list[bytes]:
         """Read a piece of every servo's table with one request."""
-        rest = self._sync_read_rest()
         result = self._calling(self.ids[0], lambda: self._packets.syncReadTx(
-            self._handler, address, length, list(self.ids), len(self.ids), *rest), clear=True)
+            self._handler, address, length, list(self.ids), len(self.ids), *self.read_options), clear=True)
         if result != self._sdk.COMM_SUCCESS:
             raise DeviceError(f"{self.port} did not take a request of {self.name}")
         answers = []
@@ -163,10 +163,6 @@ class SdkChain:
             self._handler, address, length, packed, len(packed)))
         if result != self._sdk.COMM_SUCCESS:
             raise DeviceError(f"{self.port} did not take a command of {self.name}")
-
-    def _sync_read_rest(self) -> tuple[Any, ...]:
-        """Further arguments of the SDK's sync read."""
-        return ()
 
     def _calling(self, servo: int, call: Callable[[], Any], *, clear: bool = False) -> Any:
         """Call the SDK. `clear`: drop a late answer to an earlier request, which would be taken for one to this."""
