@@ -6,10 +6,18 @@ import os
 import select
 import threading
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import pi
 from tempfile import TemporaryDirectory
+from time import monotonic
+from typing import Any
+
+from teleop import Servo
+from teleop.physics.servo import true_touch, turn
 
 BROADCAST = 0xFE
+STEP = 2.0 * pi / 4096  # rad of a count
 PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
 
 
@@ -203,3 +211,41 @@ class Dynamixel(Servos):
 
     def _address(self, body: bytes) -> tuple[int, bytes]:
         return int.from_bytes(body[:2], "little"), body[2:]
+
+
+class Physics:
+    """Shafts of servos that move in real time by `teleop.physics.servo`, in what they touch, until it is closed."""
+
+    def __init__(self, servos: Feetech, bodies: Sequence[Servo], environments: Sequence[Any]) -> None:
+        self._servos = servos
+        self._bodies = list(bodies)
+        self._plants = [body.slave_plant(1e-3, None if one is None else one.resistance())
+                        for body, one in zip(bodies, environments, strict=True)]
+        self._limp = [replace(body, stall=1e-12).slave_plant(1e-3, None).c[0] for body in bodies]
+        self.states: list[Any] = [(0.0,) * 5] * len(bodies)
+        servos.moves = lambda _servo, _table: None
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def touch(self, joint: int) -> float:
+        """True torque (N m) of a joint on what it touches."""
+        return true_touch(self._plants[joint].c, (self.states[joint],))
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        began, ticks = monotonic(), 0
+        while not self._over.wait(0.001):
+            due = int((monotonic() - began) / 1e-3)
+            ticks = max(ticks, due - 50)  # a stall is not made up for
+            for _ in range(due - ticks):
+                for i, (servo, plant) in enumerate(zip(self._servos.tables, self._plants, strict=True)):
+                    on = self._servos.get(servo, self._servos.torque, 1)
+                    goal = (self._servos.get(servo, *self._servos.goals) - 2048) * STEP
+                    shaft = plant.c[0] if on else self._limp[i]
+                    self.states[i] = turn(shaft, plant.c[1], self.states[i], goal, 0.0, 0.0)
+                    self._servos.set(servo, *self._servos.positions, round(self.states[i][0] / STEP) + 2048)
+            ticks = due

@@ -29,8 +29,9 @@ from teleop.live.devices.arms.servo_bus import (
     ServoBus,
     ServoFault,
     TorqueArm,
-    positions_alone,
 )
+from teleop.live.devices.guarded_device import LiveDevice
+from teleop.live.devices.position_servo import position_arm
 from teleop.live.devices.settings import for_each, ids_of, numbers, one_of, positive, settings_of, whole, within
 from teleop.protocol.endpoint import Axes
 from teleop.protocol.guard import DEADLINE
@@ -166,20 +167,21 @@ def dynamixel_bus(scene: Scene, argument: str) -> ServoBus:
                     watchdog=watchdog_of(__name__, argument, chain))
 
 
-def dynamixel_device(scene: Scene, port: str) -> TorqueArm:
+def dynamixel_device(scene: Scene, port: str) -> LiveDevice:
     """Dynamixel X servos at the master's end, dynamixel:PORT; see teleop/live/devices/arms/README.md."""
-    return _torque_arm(scene, port, -1.0)
+    return _arm(scene, port, "m")
 
 
-def dynamixel_robot(scene: Scene, port: str) -> TorqueArm:
+def dynamixel_robot(scene: Scene, port: str) -> LiveDevice:
     """Dynamixel X servos at the slave's end, dynamixel:PORT; see teleop/live/devices/arms/README.md."""
-    return _torque_arm(scene, port, 1.0)
+    return _arm(scene, port, "s")
 
 
-def _torque_arm(scene: Scene, argument: str, push: float) -> TorqueArm:
+def _arm(scene: Scene, argument: str, e: str) -> LiveDevice:
     if not {"mode", "kt"} & settings_of("dynamixel", argument, READERS, EXAMPLE)[1].keys():
-        raise positions_alone("dynamixel", "mode=current&kt=1.78")
-    return TorqueArm(dynamixel_bus(scene, argument), push, deadline=DEADLINE)
+        return position_arm(scene, e, lambda: dynamixel_bus(scene, argument),
+                            "drive its torques by ?mode=current&kt=1.78")
+    return TorqueArm(dynamixel_bus(scene, argument), 1.0 if e == "s" else -1.0, deadline=DEADLINE)
 
 
 def _chain(argument: str, ids: tuple[tuple[int, float], ...]) -> DynamixelChain:

@@ -27,9 +27,9 @@ from teleop.live.devices.arms.servo_bus import (
     ServoBus,
     ServoFault,
     TorqueArm,
-    positions_alone,
 )
 from teleop.live.devices.guarded_device import LiveDevice
+from teleop.live.devices.position_servo import position_arm
 from teleop.live.devices.settings import for_each, ids_of, numbers, one_of, positive, settings_of, whole, within
 from teleop.protocol.endpoint import Axes
 from teleop.scene.scene import Scene
@@ -167,18 +167,18 @@ def feetech_bus(scene: Scene, argument: str) -> ServoBus:
 
 def feetech_device(scene: Scene, port: str) -> LiveDevice:
     """Feetech STS or SMS servos at the master's end, feetech:PORT; see teleop/live/devices/arms/README.md."""
-    return _device(scene, port, -1.0)
+    return _arm(scene, port, "m")
 
 
 def feetech_robot(scene: Scene, port: str) -> LiveDevice:
     """Feetech STS or SMS servos at the slave's end, feetech:PORT; see teleop/live/devices/arms/README.md."""
-    return _device(scene, port, 1.0)
+    return _arm(scene, port, "s")
 
 
-def _device(scene: Scene, argument: str, push: float) -> LiveDevice:
+def _arm(scene: Scene, argument: str, e: str) -> LiveDevice:
     if not {"mode", "stall"} & settings_of("feetech", argument, READERS, EXAMPLE)[1].keys():
-        raise positions_alone("feetech", "mode=pwm&stall=1.5")
-    return TorqueArm(feetech_bus(scene, argument), push, None)
+        return position_arm(scene, e, lambda: feetech_bus(scene, argument), "drive its torques by ?mode=pwm&stall=1.5")
+    return TorqueArm(feetech_bus(scene, argument), 1.0 if e == "s" else -1.0, None)
 
 
 def _chain(argument: str, ids: tuple[tuple[int, float], ...]) -> FeetechChain:

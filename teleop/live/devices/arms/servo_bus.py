@@ -19,7 +19,7 @@ from statistics import median
 from time import monotonic_ns
 from typing import NamedTuple, Protocol
 
-from teleop.errors import DeviceError, Refused, number_of
+from teleop.errors import DeviceError, number_of
 from teleop.live.devices.device_watchdog import DeviceWatchdog
 from teleop.protocol.endpoint import Axes, Reading
 
@@ -282,12 +282,6 @@ class TorqueArm:
     def close(self) -> None:
         """Hold no torque, and close the port."""
         self.bus.close()
-
-
-def positions_alone(arm: str, torques: str) -> Refused:
-    """Make the refusal of a chain that takes positions where a law gives forces."""
-    return Refused(f"{arm} in its position mode takes positions, and a law gives forces; in a file of yours return "
-                   f"PositionServo({arm}_bus(scene, argument), ...), or drive its torques by ?{torques}")
 
 
 def latency_timer(port: str) -> int | None:

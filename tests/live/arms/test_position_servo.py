@@ -1,0 +1,204 @@
+"""Joints on a bus of positions as a device: the bits of virtual time, and what it does where the bus is lost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from master import SimulatedMaster
+from slave import Wall
+from teleop import DeviceError, Refused, Scene, Servo, load_result, load_scene, run
+from teleop.live.devices.position_servo import PositionServo, position_arm
+from teleop.live.in_process import run_stepped
+from teleop.physics.servo import encoded, turn
+from teleop.protocol.endpoint import Axes, Reading
+from tests.live.arms.servo_stand_in import Feetech, Physics
+from tests.waiting import until
+
+
+class SteppedBus:
+    """Servos of a scene's slave in what they touch, on a late bus, moved tick by tick. `lost`: no call arrives."""
+
+    def __init__(self, scene: Scene) -> None:
+        dt = scene.dt_ns / 1e9
+        self.servos: tuple[Servo, ...] = scene.per_axis("slave")
+        self.plants = [servo.slave_plant(dt, None if one is None else one.resistance())  # type: ignore[union-attr]
+                       for servo, one in zip(self.servos, scene.environments, strict=True)]
+        starts = [servo.start(dt, at) for servo, at in zip(
+            self.servos, scene.vector("start_s", scene.start_s), strict=True)]
+        self.shafts = [start[0] for start in starts]
+        self.goals = tuple([start[2] for start in starts])
+        self.sent, self.taken = [list(start[3]) for start in starts], [list(start[4]) for start in starts]
+        self.newest = tuple([start[1][0] for start in starts])
+        self.lost = False
+        self.closed = 0
+
+    def tick(self) -> None:
+        newest = []
+        for i, (servo, plant) in enumerate(zip(self.servos, self.plants, strict=True)):
+            self.sent[i].append(self.goals[i])
+            self.shafts[i] = turn(*plant.c[:2], self.shafts[i], self.sent[i].pop(0), 0.0, 0.0)
+            self.taken[i].append(encoded(self.shafts[i][0], servo.step))
+            newest.append(self.taken[i].pop(0))
+        self.newest = tuple(newest)
+
+    def read(self) -> Axes:
+        if self.lost:
+            raise DeviceError("the bus is lost")
+        return self.newest
+
+    def goal(self, x: Axes) -> None:
+        if self.lost:
+            raise DeviceError("the bus is lost")
+        self.goals = x
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class SteppedArm(PositionServo):
+    """The device with its bus, each moved on by the tick that is read."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.stepped = SteppedBus(scene)
+        super().__init__(self.stepped, self.stepped.servos, scene.dt_ns / 1e9, unwatched=True)
+
+    def read(self, k: int) -> Reading:
+        for _ in range(k - self._k):
+            self.stepped.tick()
+        return super().read(k)
+
+
+@pytest.mark.parametrize("knobs", [
+    {}, {"drive_s": "mass", "law": "wave"},
+    {"dt": 1e-3, "every": 5, "bus": 0.003, "drive_m": "mass", "link": "delay(0.02)"}])
+def test_a_device_on_a_stepped_bus_has_the_bits_of_virtual_time(knobs: dict[str, Any]) -> None:
+    scene = load_scene("servo_arm", duration=1.5, **knobs)
+    live, virtual = run_stepped(scene, {"m": SimulatedMaster, "s": SteppedArm}, seed=1), run(scene, seed=1)
+    assert (live.status, live.metrics) == (virtual.status, virtual.metrics)
+    assert max(abs(live.trace["f_s"].ravel())) > 0.1
+    for name, column in live.trace.items():
+        assert column.tobytes() == virtual.trace[name].tobytes(), name
+
+
+def joint(drive: str = "offset") -> tuple[SteppedBus, PositionServo]:
+    scene = load_scene("servo_arm", drive_s=drive, counts=0, friction=0.0, dead=0.0, bus=0.0)
+    arm = SteppedArm(scene)
+    return arm.stepped, arm
+
+
+@pytest.mark.parametrize("drive", ["offset", "mass"])
+def test_after_a_lost_bus_a_drive_begins_where_the_joints_are(drive: str) -> None:
+    bus, arm = joint(drive)
+    for k in range(40):
+        arm.read(k)
+        arm.hold((1.0,) * 6)
+    bus.lost = True
+    for k in range(40, 44):
+        with pytest.raises(DeviceError, match="the bus is lost"):
+            arm.read(k)
+        arm.hold((0.0,) * 6)  # as the guard does: it says no more than that
+    bus.lost = False
+    reading = arm.read(44)
+    assert reading.x == bus.newest
+    assert reading.v == (0.0,) * 6
+    arm.hold((0.0,) * 6)
+    assert bus.goals == bus.newest
+    assert arm.read(80).v == (0.0,) * 6  # after 0.1 s without a tick too
+
+
+def test_the_force_of_an_offset_drive_that_is_let_go_of_is_zero_at_once() -> None:
+    bus, arm = joint()
+    for k in range(40):
+        arm.read(k)
+        arm.hold((1.0,) * 6)
+    arm.read(40)
+    arm.hold((0.0,) * 6)
+    assert bus.goals == bus.newest
+
+
+def test_a_bus_without_a_watchdog_and_wrong_servos_are_refused() -> None:
+    scene = load_scene("servo_arm")
+    bus = SteppedBus(scene)
+    with pytest.raises(Refused, match=r"presses on when its end is killed; give it watchdog=Dev.* unwatched"):
+        PositionServo(bus, bus.servos, scene.dt)
+    with pytest.raises(Refused, match="the bus has 6 joints, and was given 2 servos"):
+        PositionServo(bus, bus.servos[:2], scene.dt, unwatched=True)
+    with pytest.raises(Refused, match="s late makes energy at its shaft"):
+        PositionServo(bus, Servo(K=500.0, damping=0.1), scene.dt, unwatched=True)
+    opened: list[SteppedBus] = []
+    with pytest.raises(Refused, match=r"the slave of scene bench_top is no Servo; take .* servo_arm, or turn it round"):
+        position_arm(load_scene("bench_top"), "s", lambda: opened.append(bus) or bus, "turn it round")  # type: ignore[func-returns-value]
+    assert not opened
+    with pytest.raises(Refused, match="has no watchdog"):
+        position_arm(scene, "s", lambda: bus, "")
+    assert bus.closed == 1
+    assert isinstance(scene.environments[5], Wall)
+
+
+# Live, over a pseudo terminal
+
+SCENE = """
+from channel import Delay
+from master import Grip, Reach
+from slave import Wall
+from teleop import Law, MassDamper, PDamped, Scene, Servo, Watchdog
+
+
+def scene(*, law: Law = PDamped(K=10.0, B=0.4), drive: str = "mass", duration: float = 6.0) -> Scene:
+    return Scene(
+        law=law, units=("rad",), master=MassDamper(mass=0.01, damping=0.05), link=Delay(0.05), observer=None,
+        hand=Grip(mass=0.02, k=15.0, d=0.5, reference=Reach(to=(0.5,), start=0.5, duration=1.0)), duration=duration,
+        slave=Servo(K=17.8, damping=0.6, friction=0.05, stall=2.94, counts=4096, bus=(0.005, 0.005), every=5,
+                    drive=drive), environment=Wall(k=2000.0, d=5.0, at=0.25), watchdog=Watchdog(timeout=0.3))
+"""
+
+
+@pytest.fixture
+def pressing(opened: Callable[..., Any], command: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
+    """`pressing(law, drive)`: a joint of a stand-in before a wall, and both ends of a live run."""
+    pytest.importorskip("scservo_sdk", reason="the extra `feetech` is not installed")
+    (tmp_path / "one.py").write_text(SCENE)
+
+    def start(law: str, drive: str, duration: float = 6.0) -> tuple[Physics, Any, Any]:
+        scene = load_scene(str(tmp_path / "one.py"), law=law, drive=drive)
+        servos = opened(Feetech((1,)))
+        physics = opened(Physics(servos, (scene.slave,), (scene.environment,)))
+        knobs = (str(tmp_path / "one.py"), "--set", f"law={law}", "--set", f"drive={drive}", "--set",
+                 f"duration={duration}", "--json")
+        slave = command("slave", *knobs, "--listen", "127.0.0.1:0", "--out", "slave", "--robot",
+                        f"feetech:{servos.port}?timeout=80")
+        master = command("master", *knobs, "--peer", f"127.0.0.1:{slave.port()}", "--out", "master")
+        return physics, master, slave
+
+    return start
+
+
+@pytest.mark.parametrize(("law", "drive"), [("p_d(K=10.0, B=0.4)", "mass"), ("wave(b=0.5, K=10.0, B=0.4)", "mass"),
+                                            ("pp(K=10.0, B=0.4)", "offset")])
+def test_what_a_servo_touches_is_felt_live(
+    law: str, drive: str, pressing: Callable[..., Any], tmp_path: Path
+) -> None:
+    physics, master, slave = pressing(law, drive)
+    touches = []
+    while master.process.poll() is None:
+        touches.append(physics.touch(0))
+        time.sleep(0.01)
+    for end in (master, slave):
+        code, _, err = end.end()
+        assert code == 0, err
+    pressed = [each for each in touches if each > 0.3][-120:-20]  # at rest, before its force was taken to zero
+    felt = load_result(tmp_path / "master").trace["f_m"][-1000:]
+    assert abs(np.mean(felt) - np.mean(pressed)) < 0.05
+
+
+def test_a_servo_whose_end_is_killed_in_contact_presses_on_no_more(pressing: Callable[..., Any]) -> None:
+    physics, _, slave = pressing("pp(K=10.0, B=0.4)", "offset", 20.0)
+    until(lambda: physics.touch(0) > 0.5, "it never pressed")
+    slave.process.kill()
+    until(lambda: physics.touch(0) < 0.05, "it pressed on")
