@@ -194,7 +194,7 @@ def test_what_a_servo_touches_is_felt_live(
         assert code == 0, err
     pressed = [each for each in touches if each > 0.3][-120:-20]  # at rest, before its force was taken to zero
     felt = load_result(tmp_path / "master").trace["f_m"][-1000:]
-    assert abs(np.mean(felt) - np.mean(pressed)) < 0.05
+    assert abs(np.mean(felt) - np.mean(pressed)) < 0.08  # friction, and one count of 0.027 N m
 
 
 def test_a_servo_whose_end_is_killed_in_contact_presses_on_no_more(pressing: Callable[..., Any]) -> None:
