@@ -31,8 +31,7 @@ FOLDERS = {
     "zsh": "~/.teleop.zsh, sourced by ~/.zshrc behind compinit",
     "fish": "~/.config/fish/completions/teleop.fish",
 }
-ENGINES = {"plain": "in Python", "c": "by the C compiler, a row at a time", "scalar": "by numba, a row at a time",
-           "vector": "by numba, eight rows at once"}
+ENGINES = {"plain": "in Python", "c": "by the C compiler, a row at a time", "vector": "by it, several rows at once"}
 
 
 def command(args: Namespace) -> Answer:

@@ -127,7 +127,7 @@ def cases(tick: bool, duration: float) -> Iterator[tuple[str, Callable[[], str]]
         (f"hard_wall {name}", "hard_wall", knobs) for name, knobs in KNOBS.items() if name != "coarse"]]
     rows += [(f"law {law}", "canonical", {"law": law, "link": ROUGH}) for law in LAWS]
     for name, scene, knobs in rows:
-        for engine in ("plain", "scalar", "vector"):
+        for engine in ("plain", "c", "vector"):
             yield f"sweep: {name}, {engine}", lambda scene=scene, knobs=knobs, engine=engine: of_sweep(  # type: ignore[misc]
                 scene, knobs, engine)
     for line in COMMANDS:

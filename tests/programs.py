@@ -28,6 +28,12 @@ def program(*names: str | Path) -> str:
     return str(path)
 
 
+def compiler_of(engine: str | None) -> None:
+    """Skip the test where this machine has no compiler for an engine of a sweep; None is the one that it chooses."""
+    if engine not in ("plain", None):
+        program(*COMPILERS)
+
+
 def uses_programs(item: pytest.Item) -> bool:
     """True if the module of a test, or of one of its fixtures, can start a program."""
     fixtures = getattr(item, "_fixtureinfo").name2fixturedefs.values()  # noqa: B009 - pytest has no public way to them

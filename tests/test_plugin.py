@@ -20,6 +20,7 @@ from teleop import Refused, check_device, check_law, find_law, load_result, load
 from teleop.__main__ import main
 from teleop.live.devices.opening import find_device
 from teleop.scene.library import ROOT
+from tests.programs import compiler_of
 
 GAINS = {"law.K": 400.0, "law.kf": 0.8}
 LISTED = """
@@ -80,6 +81,7 @@ class TestALawOfAPlugIn:
 
     @pytest.mark.parametrize("engine", ["plain", pytest.param("vector", marks=pytest.mark.full)])
     def test_is_a_value_of_a_sweeps_axis(self, engine: str) -> None:
+        compiler_of(engine)
         fixed = {"duration": 0.2, **GAINS}
         rows = sweep("soft_tissue", {"law": ["springs"], "k_e": [100.0, 1000.0]}, engine=engine, fixed=fixed)
         assert [row["law"] for row in rows] == ["springs", "springs"]

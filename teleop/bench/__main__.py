@@ -45,18 +45,17 @@ LINES: tuple[Item | Elsewhere, ...] = (
     Item("`teleop run hard_wall`, ten seconds at 1 kHz, whole process, over `python -c 'import numpy'`", "3.5",
          "virtual", (r".*: over `python -c 'import numpy'`",)),
     Item("its peak memory", "80 MB", "virtual", (r".*: peak memory of the largest process",)),
-    Item("sweep kernels, canonical scene over a C program that steps it by semi-implicit Euler: `c`, `scalar`, "
-         "`vector`", "1.8, 1.8, 1.0", "sweep",
-         (r"constant delay: c: over C", r"constant delay: scalar: over C", r"constant delay: vector: over C")),
+    Item("sweep kernels, canonical scene over a C program that steps it by semi-implicit Euler: `c`, `vector`",
+         "1.8, 1.0", "sweep", (r"constant delay: c: over C", r"constant delay: vector: over C")),
     Item("the same with ledgers, which the C program has not", "1.8, 1.0", "sweep",
-         (r"constant delay: scalar with ledgers: over C", r"constant delay: vector with ledgers: over C")),
-    Item("the same with jitter and loss, a schedule for each row, both playing zero in gaps: `scalar`, `vector`", "1.8",
-         "sweep", (r".*loss: scalar, playout zero: over C", r".*loss: vector, a sch.*, playout zero: over C")),
-    Item("the same by the scene's own playout `integral`, the C program playing zero: `scalar`, `vector`", "", "sweep",
-         (r".*loss: scalar, playout integral: over C", r".*loss: vector, a sch.*, playout integral: over C")),
-    Item("a tick of playout `integral` over one of `zero`, plain, `scalar`, `vector`; over jitter and loss", "1.5",
+         (r"constant delay: c with ledgers: over C", r"constant delay: vector with ledgers: over C")),
+    Item("the same with jitter and loss, a schedule for each row, both playing zero in gaps: `c`, `vector`", "1.8",
+         "sweep", (r".*loss: c, playout zero: over C", r".*loss: vector, a sch.*, playout zero: over C")),
+    Item("the same by the scene's own playout `integral`, the C program playing zero: `c`, `vector`", "", "sweep",
+         (r".*loss: c, playout integral: over C", r".*loss: vector, a sch.*, playout integral: over C")),
+    Item("a tick of playout `integral` over one of `zero`, plain, `c`, `vector`; over jitter and loss", "1.5",
          "playout", tuple(rf"{engine}, {link}: zero: integral" for link in ("50 ms", "jitter and loss")
-                          for engine in ("plain", "scalar", "vector"))),
+                          for engine in ("plain", "c", "vector"))),
     Item("a live tick of a law's end, the least and the most of all laws, in one axis; in three", "10; 25 us", "laws",
          (r".*: live tick in 1 axis, .*", r".*: live tick in 3 axes, .*")),
     Item("the same of six joints with parts of their own (`leader_follower`), master / slave: `pp`; `four_channel`; "
@@ -64,20 +63,20 @@ LINES: tuple[Item | Elsewhere, ...] = (
          tuple(JOINTS.format(law=law, more="") for law in ("pp", "four_channel", "wave", "tdpa"))),
     Item("of it the law alone, without caps, watchdog and ledgers", "", "laws",
          tuple(JOINTS.format(law=law, more=", the law alone") for law in ("pp", "four_channel", "wave", "tdpa"))),
-    Item("a law's kernel over that of `wave`, `scalar`, `tdpa` of it; `vector`", "2, 2.2; 2", "laws",
-         (r".*: scalar, over wave", r"tdpa: scalar, over wave", r".*: vector, over wave")),
-    Item("a new structure of scene, compiled, or from the cache: `c`, `scalar`, `vector`", "8 s, or 1 s", "sweep",
-         (r"c, first call.*", r"scalar, first call.*", r"vector, first call.*")),
-    Item("a whole row of ten seconds in a sweep, `scalar`, `vector`; of 100,000 rows over 1,000", "; 1.15", "scale",
-         (r"scalar, canonical, a row of 100,000", r"vector, canonical, a row of 100,000", r"scalar.*: over that of few",
+    Item("a law's kernel over that of `wave`, `c`, `tdpa` of it; `vector`", "2, 2.2; 2", "laws",
+         (r".*: c, over wave", r"tdpa: c, over wave", r".*: vector, over wave")),
+    Item("a new structure of scene, compiled, or from the cache: `c`, `vector`", "8 s, or 1 s", "sweep",
+         (r"c, first call.*", r"vector, first call.*")),
+    Item("a whole row of ten seconds in a sweep, `c`, `vector`; of 100,000 rows over 1,000", "; 1.15", "scale",
+         (r"c, canonical, a row of 100,000", r"vector, canonical, a row of 100,000", r"c, .*: over that of few",
           r"vector.*: over that of few")),
-    Item("of it beside the kernel, `scalar`, `vector`", "60 us", "scale",
-         (r"scalar.*: beside its kernel", r"vector.*: beside its kernel")),
+    Item("of it beside the kernel, `c`, `vector`", "60 us", "scale",
+         (r"c, .*: beside its kernel", r"vector.*: beside its kernel")),
     Item("a row of 50 ticks with a law of a plug-in, of a file of one's own, over one with a built-in law: plain, "
          "`vector`", "1.1", "own_laws", (r"plain.*: law of a plug-in.*", r"plain.*: law of a file.*",
                                          r"vector.*: law of a plug-in.*", r"vector.*: law of a file.*")),
-    Item("two threads over one, `scalar`, `vector`", "1.8", "scale",
-         (r"scalar, two threads over one", r"vector, two threads over one")),
+    Item("two threads over one, `c`, `vector`", "1.8", "scale",
+         (r"c, two threads over one", r"vector, two threads over one")),
     Item("a million rows in memory", "1 GB", "scale", (r"1,000,000 rows of 20 ticks",)),
     Item("over `vector` at 1e-6 m: numpy over 2,000 rows, 256 sub-steps a tick; jitcdde; python-control",
          "20, 100, 500", "rivals",
@@ -153,7 +152,7 @@ def table(run: Callable[[str], Sequence[Row]], lines: Sequence[Item | Elsewhere]
 def labelled(rows: Sequence[Row]) -> dict[str, tuple[str, str]]:
     """Measured and asked of each row, by its label; of one that is indented with its heading before it.
 
-    >>> labelled([("scalar", "20 ns", ""), ("  over C", "1.2 times", "asked: at most 1.8")])["scalar: over C"]
+    >>> labelled([("c", "20 ns", ""), ("  over C", "1.2 times", "asked: at most 1.8")])["c: over C"]
     ('1.2 times', 'asked: at most 1.8')
     """
     labels, heading = {}, ""

@@ -28,7 +28,7 @@ from teleop.simulation.prepared import prepare
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import NAMES
 from teleop.simulation.virtual import run
-from teleop.sweeps.engine import kernel_maker
+from teleop.sweeps.engine import kernel_maker, need_compiler
 from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, leaves, tree_of
 
 MEASURES = ("x_err_rms", "x_err_max")
@@ -53,14 +53,12 @@ Row = tuple[str, str, str]
 LINKS = {"50 ms": "delay(0.05)", "jitter and loss": "delay(0.05) | uniform(0.02) | bernoulli(0.1)"}
 PLAYOUTS = ("zero", "integral", "integral:0.005", "energy", "scaled:0.1")
 ASKED = {"integral": "asked: at most 1.5", "integral:0.005": "asked: at most 1.5"}
-ROWS = {"plain": 1, "scalar": 1, "vector": 8}  # at once
+ROWS = {"plain": 1, "c": 1, "vector": 8}  # at once
 
 
 def playout(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked)."""
-    from teleop.sweeps.kernels.compiled import need_numba
-
-    need_numba("scalar")
+    need_compiler("c")
     rows: list[Row] = []
     for engine, count in ROWS.items():
         for what, link in LINKS.items():
@@ -96,14 +94,12 @@ def seconds(call: Callable[[], Any]) -> float:
 TICKS = 2000
 LEAST = {1: "asked: at most 10", 3: "asked: at most 25"}
 JOINTS = ("pp", "four_channel", "wave", "tdpa")  # laws of the scene leader_follower
-SIDE = {"scalar": 1, "vector": 8}  # rows at once
+SIDE = {"c": 1, "vector": 8}  # rows at once
 
 
 def laws(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked)."""
-    from teleop.sweeps.kernels.compiled import need_numba
-
-    need_numba("scalar")
+    need_compiler("c")
     names = ["wave", *[name for name in known_laws() if name != "wave" and hasattr(find_law(name), "master")]]
     rows: list[Row] = []
     for axes, bound in LEAST.items():
@@ -120,7 +116,7 @@ def laws(rounds: int) -> list[Row]:
                                           range(count)], [1] * count) for name in names}
         took_kernel = least(calls, rounds)
         rows += [(f"{name}: {engine}, over wave", f"{took_kernel[name] / took_kernel['wave']:.2f} times",
-                  "asked: at most 2.2" if name == "tdpa" and engine == "scalar" else "asked: at most 2")
+                  "asked: at most 2.2" if name == "tdpa" and engine == "c" else "asked: at most 2")
                  for name in names[1:]]
     return rows
 

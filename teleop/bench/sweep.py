@@ -36,6 +36,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import reference_samples
 from teleop.simulation.plan import link_plans
+from teleop.sweeps.engine import need_compiler
 from teleop.sweeps.grid import grid
 from teleop.sweeps.runner import sweep as run_sweep
 
@@ -88,9 +89,7 @@ int row(const double *p, int64_t count, const int64_t *play_m, const int64_t *pl
 
 def sweep(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked): nanoseconds a tick, the least of each round, medians over rounds of ratios."""
-    from teleop.sweeps.kernels.compiled import need_numba
-
-    need_numba("scalar")
+    need_compiler("c")
     rows: list[Row] = []
     with TemporaryDirectory() as name:
         program = _program(Path(name))
@@ -141,14 +140,13 @@ class KernelRun(NamedTuple):
         return kernel_of(self.engine, scenes, [1 + n if self.apart else 1 for n in range(self.rows)])
 
 
-CONSTANT = (KernelRun("c", "c", 1.8, 1), KernelRun("scalar", "scalar", 1.8, 1),
-            KernelRun("scalar with ledgers", "scalar", 1.8, 1, energy=True),
+CONSTANT = (KernelRun("c", "c", 1.8, 1), KernelRun("c with ledgers", "c", 1.8, 1, energy=True),
             KernelRun("vector", "vector", 1.0, 8), KernelRun("vector with ledgers", "vector", 1.0, 8, energy=True))
 JITTER = tuple(KernelRun(f"{name}, playout {playout}", engine, bound, rows, apart=apart, playout=playout)
                for playout, bound in (("zero", 1.8), ("integral", None))
-               for name, engine, rows, apart in (("scalar", "scalar", 1, False),
-                                               ("vector, one schedule for eight rows", "vector", 8, False),
-                                               ("vector, a schedule for each row", "vector", 8, True)))
+               for name, engine, rows, apart in (("c", "c", 1, False),
+                                                 ("vector, one schedule for eight rows", "vector", 8, False),
+                                                 ("vector, a schedule for each row", "vector", 8, True)))
 
 
 def _canonical(link: str | None, *, energy: bool = False, k_e: float = 5000.0, **knobs: object) -> Scene:
@@ -207,12 +205,10 @@ print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 def scale(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked)."""
-    from teleop.sweeps.kernels.compiled import need_numba
-
-    need_numba("vector")
+    need_compiler("vector")
     ticks = load_scene("canonical").ticks
     rows: list[Row] = []
-    for engine in ("scalar", "vector"):
+    for engine in ("c", "vector"):
         _sweep_seconds(engine, 16, 1)  # compiles
         kernel = kernel_of(engine, [load_scene("canonical", k_e=k_e) for k_e in _stiffnesses(FEW)], [0] * FEW)
         few, many, ratios, gains, alone = [], [], [], [], []
@@ -273,9 +269,7 @@ def own_laws(rounds: int) -> list[Row]:
         names = {"built in": "wave", "of a plug-in": plug_in, "of a file": file}
         for engine, count in SHORT_ROWS.items():
             if engine != "plain":
-                from teleop.sweeps.kernels.compiled import need_numba
-
-                need_numba(engine)
+                need_compiler(engine)
             for law in names.values():
                 _short_rows_seconds(engine, law, 8)  # compiles
             spent: dict[str, list[float]] = {name: [] for name in names}

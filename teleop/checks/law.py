@@ -26,7 +26,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.plan import link_plans
 from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run
-from teleop.sweeps.engine import ENGINES, is_installed, kernel_of
+from teleop.sweeps.engine import ENGINES, compiles, kernel_of
 from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, available, figures, path_of, tree_of
 
 ENDS = ("master", "slave")
@@ -353,7 +353,7 @@ def situation(dice: Iterator[float], reach: tuple[float, ...]) -> At:
 def try_engines(law: Any, *, compiled: bool) -> None:
     """Refuse a law if an engine gives other bits than a single run. `compiled`: try the compiled engines too."""
     name = type(law).__name__
-    engines = [engine for engine in ENGINES if engine == "plain" or (compiled and is_installed(engine))]
+    engines = ENGINES if compiled and compiles() else ("plain",)
     drawn = islice(trials(law, spread(name)), FIRST_VARYING, None)
     scenes = [replace(scene, axes=1, observer=200.0, playout=None, duration=ENGINE_RUN)
               for scene in islice(drawn, ENGINE_ROWS)]

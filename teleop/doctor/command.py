@@ -27,7 +27,7 @@ from teleop.version import DISTRIBUTION, __version__
 
 EXTRAS = {  # what to install for each
     "cryptography": "secure", "distributed": "cluster", "dynamixel-sdk": "dynamixel", "feetech-servo-sdk": "feetech",
-    "matplotlib": "plot", "mcap": "log", "mujoco-core": "mujoco", "numba": "batch", "pyOpenSSL": "secure",
+    "matplotlib": "plot", "mcap": "log", "mujoco-core": "mujoco", "pyOpenSSL": "secure",
     "pylibfranka": "franka", "python-can": "openarm", "scipy": "test", "websockets": "page",
 }
 
@@ -46,7 +46,7 @@ def version_of(name: str) -> str | None:
 
 
 def kernel_files(folder: Path) -> list[Path]:
-    """Files of compiled kernels in the folder, numba's among them."""
+    """Files of compiled kernels in the folder, and what earlier versions kept there."""
     return [path for path in folder.rglob("teleop_kernel_*") if path.is_file()] if folder.is_dir() else []
 
 
@@ -55,7 +55,7 @@ def clear() -> int:
     held = kernel_files(kernels())
     for path in held:
         path.unlink(missing_ok=True)
-    return sum(path.suffix == ".py" for path in held)
+    return sum(path.suffix in (".py", ".so") for path in held)
 
 
 def other_packages(folders: Iterable[str] | None = None) -> list[str]:
@@ -121,7 +121,8 @@ def text(report: dict[str, Any]) -> str:
         cure = "not installed" + (f": pip install 'bilateral-teleop[{extra}]'" if extra else "")
         rows.append((name, installed or cure))
     kernels = report["kernels"]
-    rows.append(("C compiler", report["compiler"] or "none: install gcc or clang, and sweeps compile in a second"))
+    faster = "none: install gcc or clang, and sweeps run some 100 times faster"
+    rows.append(("C compiler", report["compiler"] or faster))
     rows.append(("kernels", f"{kernels['modules']} compiled, {kernels['bytes'] / 1e6:.3g} MB in {kernels['folder']}; "
                  "teleop doctor --clear removes them"))
     if kernels["not_kept"]:

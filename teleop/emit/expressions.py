@@ -59,7 +59,8 @@ WORDS = {"JoinedStr": "an f-string", "Lambda": "a lambda within a function", "Di
 
 def c_word(name: str) -> str:
     """The name of a variable in C, which no other variable has."""
-    return f"{name}_" if name.rstrip("_") in RESERVED | KEYWORDS else name
+    is_taken = name.rstrip("_") in RESERVED | KEYWORDS or name.startswith(("py_", "vec_"))  # helpers are called so
+    return f"{name}_" if is_taken else name
 
 
 def texts_of(value: Value) -> Iterator[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from teleop.emit.calls import Calls
 from teleop.emit.expressions import NUMBERS, CExpressions, bare, c_word, texts_of
 from teleop.emit.primitives import HELPERS
-from teleop.emit.types import DOUBLE, FLOAT, INT, NOTHING, Array, Printed, TupleParts, Types, Value
+from teleop.emit.types import DOUBLE, FLOAT, INT, NOTHING, Array, NotPrinted, Printed, TupleParts, Types, Value
 from teleop.simulation.expressions import Known, NotSpecialised, functions_in
 
 
@@ -60,16 +60,28 @@ class Program:
         if key not in self._functions:
             self._functions[key] = None
             stem = Path(function.__code__.co_filename).stem
-            made = Statements(self, function).translate(arguments, self._name(f"{stem}_{function.__qualname__}"))
+            try:
+                made = self.translated(function, arguments, self._name(f"{stem}_{function.__qualname__}"))
+            except NotPrinted:
+                del self._functions[key]
+                raise
             self._functions[key] = made
             self._texts.append((made.name, made.text))
         result = self._functions[key]
         assert result is not None
         return result
 
+    def printer(self, function: FunctionType) -> Statements:
+        """A printer of one function."""
+        return Statements(self, function)
+
+    def translated(self, function: FunctionType, arguments: list[Value], name: str) -> CFunction:
+        """The function by this name for these arguments."""
+        return self.printer(function).translate(arguments, name)
+
     def inlined(self, function: FunctionType, values: list[Value], caller: CExpressions) -> Value | None:
         """Answer of a function of one line, whose last argument has a star, in the place of its call; else None."""
-        inner = Statements(self, function)
+        inner = self.printer(function)
         *before, line = inner.definition()[0]
         only = not before or (len(before) == 1 and ast.get_docstring(ast.Module([*before], [])) is not None)
         if not only or not isinstance(line, ast.Return) or line.value is None:
@@ -160,15 +172,15 @@ class Statements(Calls):
         parameters = {word: c_word(word) for word, value in known.items()
                       if isinstance(value, Printed) and value.type != NOTHING}
         self.kinds.update({word: known[word].type for word in parameters})
-        for _ in range(8):
-            before = dict(self.kinds), self.gives
+
+        def once() -> None:
             self.start({**known, **{word: Printed(self.kinds[word], parameters[word]) for word in parameters}}, body)
             for word, value in known.items():
                 if isinstance(value, Known) and word in stores(body):
                     self.set_name(word, value)
             self.body(body)
-            if before == (self.kinds, self.gives):
-                break
+
+        self.until_typed(once)
         self.gives = NOTHING if self.gives is None else self.gives
         text = self.rendered(where=first, skip={*parameters.values()})
         unread = [f"    (void){word};\n" for word in parameters.values() if word not in words_of(text)]
@@ -179,6 +191,15 @@ class Statements(Calls):
         text = (f"/* {place}{': ' * bool(doc)}{doc.replace('*/', '')} */\nstatic "
                 f"{self.types.c(self.gives)} {name}({', '.join(heads) or 'void'})\n{{\n{''.join(unread)}{text}\n}}\n")
         return CFunction(name, takes, self.gives, self.faults, text)
+
+    def until_typed(self, once: Callable[[], Any]) -> Any:
+        """Call `once`, which prints, until the types of all variables are found, and return its last answer."""
+        for _ in range(8):
+            before = dict(self.kinds), self.gives
+            made = once()
+            if before == (self.kinds, self.gives):
+                break
+        return made
 
     def start(self, known: dict[str, Value], body: list[ast.stmt]) -> None:
         """Begin once more, with the types that variables have by now."""

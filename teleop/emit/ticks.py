@@ -96,7 +96,7 @@ class TickPrinter(Statements):
 
 def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = None, real: str = DOUBLE) -> PrintedTick:
     """The tick of an end, m or s. Raises `NotPrinted`, with file and line, where a function has no lines in C."""
-    made = lines(live_structure(structure_of(scene), e, sensor), live, ends=(e,), engine="scalar").made
+    made = lines(live_structure(structure_of(scene), e, sensor), live, ends=(e,), engine="c").made
     split = Generator.of(made.tree)
     program = Program(prefix, real)
     types, words = program.types, dict(zip(split.words, LiveTick._fields, strict=True))
@@ -124,8 +124,8 @@ def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = Non
     def state() -> dict[str, Any]:
         return {name: printer.kinds[name] for name in lasting if printer.kinds.get(name, NOTHING) != NOTHING}
 
-    for _ in range(8):
-        before, printer.copies = dict(printer.kinds), 0
+    def once() -> tuple[PrintedSection, PrintedSection, PrintedSection]:
+        printer.copies = 0
         begun = run(dict(starts), split.prologue)
         for word in words:
             printer.kinds.pop(word, None)
@@ -134,9 +134,9 @@ def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = Non
         entry |= {word: Printed(inputs[field], f"in->{field}") for word, field in words.items() if field in inputs}
         first = run(entry, split.between, depth=2)
         entry |= {name: Printed(printer.kinds[name], c_word(name)) for name in stores(split.between)}
-        turn = run(entry, split.turn)
-        if before == printer.kinds:
-            break
+        return begun, first, run(entry, split.turn)
+
+    begun, first, turn = printer.until_typed(once)
     members, names = state(), _flat_columns(scene, e, sensor)
     outputs, done = printer.answer(
         split.answer, (DOUBLE, _message(scene, program, mine=e), _integrals(program), DOUBLE), names)

@@ -116,7 +116,7 @@ class Types:
     def _fresh(self, name: str) -> str:
         n, word = 2, name
         while word in self._names:
-            n, word = n + 1, f"{name}_{n}"
+            n, word = n + 1, f"{name}_v{n}"  # name_2 is a pair of them
         self._names.add(word)
         return word
 

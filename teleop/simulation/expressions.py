@@ -346,7 +346,7 @@ class Expressions(Evaluator[Value]):
             return self.call(masks.select, [test, self.residualize(node.body), self.residualize(node.orelse)], node)
         return self.locate(ast.IfExp(test, self.residualize(node.body), self.residualize(node.orelse)), node)
 
-    # Conditions that eight scenes side by side may answer each in its own way
+    # Conditions that several scenes side by side may answer each in its own way
 
     def has_lanes(self, value: ast.expr) -> bool:
         """True if the value may differ from lane to lane."""

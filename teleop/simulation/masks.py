@@ -1,11 +1,12 @@
-"""Masks: what generated text says in place of a branch where eight scenes run side by side.
+"""Masks: what generated text says in place of a branch where several scenes run side by side.
 
-A mask is a truth for each scene. Here is what each word means of one scene; `teleop.sweeps.kernels.lanes` and
-`...rings` have it of eight.
+A mask is a truth for each scene. Here is what each word means of one scene; `teleop.sweeps.kernels.lanes` prints what
+it means of several.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 
@@ -27,6 +28,11 @@ def any_lane(mask: Any) -> bool:
 def broadcast(tree: Any) -> Any:
     """A number, or a tuple of such, for each scene."""
     return tree
+
+
+def one_by_one(mask: Any, function: Callable[..., Any], otherwise: Any, *arguments: Any) -> Any:
+    """The function's answer where the mask is true, else `otherwise`; it is asked for one scene after the other."""
+    return function(*arguments) if mask else otherwise
 
 
 def put_selected(mask: Any, ring: Any, k: Any, size: int, message: Any) -> None:

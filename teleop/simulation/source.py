@@ -7,7 +7,7 @@ bodies, which the lines find by name.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from inspect import getattr_static
 from types import CodeType, FunctionType
@@ -32,10 +32,6 @@ class Lines(NamedTuple):
     def text(self) -> str:
         """Text of these lines."""
         return ast.unparse(self.made.tree)
-
-    def lines(self) -> tuple[int, ...]:
-        """For each statement the line of the tick that it comes from."""
-        return tuple([each.lineno for each in ast.walk(self.made.tree) if isinstance(each, ast.stmt)])
 
     def names(self, functions: Mapping[str, Any]) -> dict[str, Any]:
         """Names that these lines need, with a scene's own functions."""
@@ -65,24 +61,12 @@ def lines(structure: Structure, entry: Callable[..., Any], recorder: Callable[..
     """The lines that `entry` comes to for a structure.
 
     `recorder` makes the run's recorder of what is `asked`. `ends`: the ends that `entry` is handed beside the run.
-    `engine`: plain, scalar or vector; see `teleop.simulation.specialise`.
+    `engine`: plain, c or vector; see `teleop.simulation.specialise`.
     """
     run = run_of(structure, recorder(*request))
     bind(run, None)
     made = specialise(entry, run, *[getattr(run, e) for e in ends], engine=engine)
     return Lines(made, compile(ast.Module([made.tree], []), made.file, "exec"))
-
-
-def located(text: str, lines: Sequence[int]) -> CodeType:
-    """The code of a text whose statements come from these lines of the tick."""
-    tree = ast.parse(text)
-    body: list[Any] = [each for each in ast.walk(tree.body[0]) if isinstance(each, ast.stmt)]
-    for statement, line in zip(body, lines, strict=True):
-        for each in ast.walk(statement):
-            if "lineno" in each._attributes:
-                each.lineno, each.end_lineno = line, line  # type: ignore[attr-defined]
-                each.col_offset, each.end_col_offset = 0, 0  # type: ignore[attr-defined]
-    return compile(tree, loop.__code__.co_filename, "exec")
 
 
 def missing(*_: Any) -> Any:

@@ -54,7 +54,7 @@ LONG = 12  # statements under a mask from which on it is first asked whether the
 def specialise(function: Callable[..., Any], *records: Record, engine: str = "plain") -> Specialised:
     """`function` with these for its first arguments; the others stay its arguments. Raises `NotSpecialised`.
 
-    `engine`: plain; scalar, which has instructions for `teleop.stages.memory`; vector, whose branches are masks.
+    `engine`: plain; c, which has instructions for `teleop.stages.memory`; vector, whose branches are masks.
     """
     assert isinstance(function, FunctionType)
     made = _Writer(function, engine)
@@ -175,7 +175,7 @@ class _Writer(Expressions):
         self.emit(ast.Assign([made], right), line)
 
     def in_every_lane(self, value: ast.expr, line: ast.AST) -> ast.expr:
-        """A constant of eight scenes side by side, so that its variable has lanes from the beginning."""
+        """A constant of scenes side by side, so that its variable has lanes from the beginning."""
         names = [each for each in ast.walk(value) if isinstance(each, ast.Name) and each.id in self.uniform]
         truth = isinstance(value, ast.Compare) or (
             isinstance(value, ast.Constant) and type(value.value) not in (int, float))
@@ -296,7 +296,7 @@ class _Writer(Expressions):
             raise self.refused(f"`{type(line).__name__.lower()}` stands in a loop that is unrolled, where it would "
                                "leave the loop around it; write a condition instead")
         if self.masks:
-            raise self.refused(f"`{type(line).__name__.lower()}` stands under a condition that each of eight scenes "
+            raise self.refused(f"`{type(line).__name__.lower()}` stands under a condition that each of several scenes "
                                "answers in its own way")
         self.emit(type(line)(), line)
 

@@ -1,7 +1,7 @@
 """Memory that the tick reads by number: rings of messages on their way, paths and schedules drawn up front.
 
 In plain Python each stands as its one line where it is called; a compiled engine has instructions of these names
-(`teleop.sweeps.kernels.rings`).
+(`teleop.sweeps.kernels.c_kernel`).
 """
 
 from __future__ import annotations

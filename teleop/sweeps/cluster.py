@@ -228,8 +228,6 @@ class Cluster(Executor):
         name = error.name or "a module"
         if name.partition(".")[0] == "teleop":
             cure = f"pip install bilateral-teleop=={__version__} there and start it again"
-        elif name.partition(".")[0] in ("numba", "llvmlite"):
-            cure = "pip install 'bilateral-teleop[batch]' there and start it again, or take --engine plain"
         else:
             cure = "install it there, or write what is needed of it into your script itself"
         return f"a worker of {self.address} lacks {name} ({error}); {cure}"

@@ -13,7 +13,6 @@ from teleop.errors import Refused, number_of, plural
 from teleop.scene.scene import Scene
 from teleop.simulation.notes import untuned
 from teleop.simulation.result import head, law_with_gains, parameters
-from teleop.sweeps.engine import NUMBA
 from teleop.sweeps.grid import grid, parse_axes, parse_ranges, sampled
 from teleop.sweeps.pictures import report
 from teleop.sweeps.pictures.picture import check
@@ -45,13 +44,12 @@ class SweepOutcome(NamedTuple):
     def summary(self, command: Sequence[str]) -> dict[str, Any]:
         """The sweep as JSON can hold it, without its rows: the content of summary.json."""
         plan = self.plan
-        compilers = ("numba", "llvmlite") if any(engine in NUMBA for engine, _ in plan.ran) else ()
         seeds, knobs = plan.grid.seeds, plan.grid.knobs
         return {
             **head(status="interrupted" if self.interrupted else "done", scene=plan.scene, mode="sweep",
                    sentence=report.sentence_of(self.table, len(plan.grid)), parameters=in_common(plan.first, knobs),
                    seed=seeds[0] if len(seeds) == 1 else None, command=command,
-                   dt=None if "dt" in knobs else plan.first.dt_ns / 1e9, also=compilers),
+                   dt=None if "dt" in knobs else plan.first.dt_ns / 1e9),
             **plan.definition(), "rows": len(plan.grid), "done": len(self.table), "ran": self.ran,
             "counts": self.table.counts(), "engine": plan.engine, "why": plan.why, "workers": plan.workers,
             "engines": [{"engine": engine, "rows": rows, "why": why} for (engine, why), rows in plan.ran.items()],

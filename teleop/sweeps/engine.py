@@ -1,20 +1,19 @@
-"""The engine of a sweep: which of plain, c, scalar and vector runs its rows, and the kernel that an engine makes.
+"""The engine of a sweep: which of plain, c and vector runs its rows, and the kernel that an engine makes.
 
 An engine is chosen once for a sweep (`choose`). A structure of scene that it has no kernel for falls back to the next
-that is installed, row by row the same bits: vector to c, c to scalar, scalar to plain.
+plainer, row by row the same bits: vector to c, c to plain.
 """
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from importlib import import_module
-from pickle import UnpicklingError
 from threading import Lock
 from typing import Any
 
+from teleop.emit.types import NotPrinted
 from teleop.errors import Refused, nearest
 from teleop.law import functions_of
 from teleop.scene.parts import varies
@@ -43,10 +42,10 @@ from teleop.sweeps.kernels.kernel import (
 
 Measure = str | Callable[["Result"], float]
 
-ENGINES = ("plain", "c", "scalar", "vector")
-NUMBA = ("scalar", "vector")  # engines that compile by numba
+PLAINER = {"vector": "c", "c": "plain"}
+ENGINES = ("plain", "c", "vector")
 WORTH = 2.0  # s of plain Python above which compiling is worth its time
-LONG = 1000.0  # s of plain Python above which eight rows at once make up for the seconds that numba compiles longer
+LONG = 100.0  # s of plain Python above which rows side by side make up for what their kernel compiles longer
 PLAIN = 4e-6  # s a tick, about
 FEW = 16  # rows that are not worth putting side by side
 STAMPED = frozenset(("E_fwd_min", "E_bwd_min"))  # a run with waves and energies alone has them
@@ -61,15 +60,13 @@ _MAKING = Lock()
 def choose(engine: str | None, scene: Scene, rows: int, measures: Sequence[Measure]) -> tuple[str, str]:
     """The engine of a sweep of so many rows like `scene`, and why. Raises `Refused` for one that cannot be had."""
     if engine is not None:
+        if engine == "scalar":
+            raise Refused("engine scalar, which compiled a row at a time by numba, is gone: take --engine c, which "
+                          "gives the same bits")
         if engine not in ENGINES:
             raise Refused(f"there is no engine {engine!r}; {nearest(engine, ENGINES)}")
-        if engine in NUMBA:
-            from teleop.sweeps.kernels.compiled import need_numba
-
-            need_numba(engine)
-        if engine == "c" and not is_installed("c"):
-            raise Refused("engine c needs a C compiler (cc, gcc or clang), and none is found; install one, or take "
-                          "--engine plain")
+        if engine != "plain":
+            need_compiler(engine)
         return engine, "as asked for"
     if needs_record(measures, scene):
         return "plain", WHOLE
@@ -77,33 +74,25 @@ def choose(engine: str | None, scene: Scene, rows: int, measures: Sequence[Measu
     if seconds < WORTH:
         return "plain", f"about {seconds:.2g} s of plain Python, less than compiling takes"
     enough = f"about {seconds:.3g} s of plain Python"
-    if is_installed("vector") and rows >= FEW and (seconds >= LONG or not is_installed("c")):
-        return "vector", f"{enough}, so it is compiled, by numba for eight rows at once"
-    for name, by in (("c", "C's compiler"), ("scalar", "numba")):
-        if is_installed(name):
-            return name, f"{enough}, so it is compiled, by {by} for a row at a time"
-    return "plain", ("there is neither a C compiler nor numba; with gcc, clang or the extra `batch` this would be some "
-                     "50 times faster")
-
-
-def is_installed(engine: str) -> bool:
-    """True if this machine has what an engine compiles with."""
-    if engine == "c":
-        from teleop.emit.compiler import find_compiler
-
-        return find_compiler() is not None
-    return engine == "plain" or importlib.util.find_spec("numba") is not None
+    if not compiles():
+        return "plain", "there is no C compiler; with gcc or clang installed this would be some 100 times faster"
+    if rows >= FEW and seconds >= LONG:
+        return "vector", f"{enough}, so it is compiled, for several rows side by side"
+    return "c", f"{enough}, so it is compiled, for a row at a time"
 
 
 def compiles() -> bool:
-    """True if this machine compiles rows at all."""
-    return is_installed("c") or is_installed("scalar")
+    """True if this machine has a C compiler, by which rows are compiled."""
+    from teleop.emit.compiler import find_compiler
+
+    return find_compiler() is not None
 
 
-def plainer(engine: str) -> str:
-    """The engine that takes over what another has no kernel for."""
-    behind = {"vector": ("c", "scalar"), "c": ("scalar",)}
-    return next(filter(is_installed, behind.get(engine, ())), "plain")
+def need_compiler(engine: str) -> None:
+    """Refuse a compiled engine where there is no C compiler."""
+    if not compiles():
+        raise Refused(f"engine {engine} needs a C compiler (cc, gcc or clang), and none is found; install one, or take "
+                      "--engine plain")
 
 
 def needs_record(measures: Sequence[Measure], scene: Scene) -> bool:
@@ -174,28 +163,22 @@ class Stamps:
 
 def kernel_maker(engine: str) -> Callable[..., Kernel]:
     """The function that makes the kernels of a compiled engine from a scene, its bodies and the figures asked of it."""
-    home = "c_kernel" if engine == "c" else "engines"
-    maker: Callable[..., Kernel] = getattr(import_module(f"teleop.sweeps.kernels.{home}"), f"{engine}_kernel")
+    maker: Callable[..., Kernel] = getattr(import_module("teleop.sweeps.kernels.c_kernel"), f"{engine}_kernel")
     return maker
 
 
 def _make_kernel(scene: Scene, bodies: Bodies, measures: tuple[str, ...], engine: str, why: str) -> Kernel:
     if engine == "plain":
         return plain_kernel(scene, bodies, measures)._replace(why=why)
-    from teleop.sweeps.kernels.compiled import cause
-
     make = kernel_maker(engine)
     two = prepare(replace(scene, duration=min(scene.ticks, 2) * scene.dt))  # ticks, enough to have it compiled
     inputs = RowInputs(None, leaves(tree_of(two.scene, two.bodies)), two.scene.ticks,
                    LinkSchedule.of(link_plans(two.scene, 0)), path_of(two.scene, compiled=True))
     try:
-        try:
-            kernel: Kernel = make(scene, bodies, measures)
-            figures(kernel, [inputs])
-        except (OSError, EOFError, UnpicklingError, UnicodeDecodeError):  # the cache is full, or damaged
-            kernel = make(scene, bodies, measures, keep=False)
-            figures(kernel, [inputs])
+        kernel: Kernel = make(scene, bodies, measures)
+        figures(kernel, [inputs])
     except Exception as error:  # whatever stands in the way of compiling, there is another way to run the rows
-        return _make_kernel(scene, bodies, measures, plainer(engine), cause(error))
+        reason = str(error) if isinstance(error, NotCompiled | NotPrinted) else f"{type(error).__name__}: {error}"
+        return _make_kernel(scene, bodies, measures, PLAINER[engine], reason)
     return kernel._replace(why=why, fallback=lambda reason: _make_kernel(
-        scene, bodies, measures, plainer(engine), reason))
+        scene, bodies, measures, PLAINER[engine], reason))

@@ -80,7 +80,7 @@ def sweep(
 
     `axes`: knobs and their values as `load_scene` takes them; a tuple of knobs goes with a list of tuples. `fixed`:
     knobs that are the same in every row. `metrics`: names of `teleop.simulation.metrics.UNITS`, or functions of a
-    `Result`, which cost a whole record. `engine`: plain, c, scalar or vector; left out, by the amount of work and what
+    `Result`, which cost a whole record. `engine`: plain, c or vector; left out, by the amount of work and what
     is installed. `executor`: any of concurrent.futures; left out, threads. `workers`: how many it has; left out, one
     for each core. `out`: a folder that rows are appended to as they finish; the same sweep there goes on where it
     stopped. `show` is told rows done and rows in all. A function among `metrics` that raises, or returns no number,

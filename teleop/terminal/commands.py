@@ -151,8 +151,8 @@ def _sweep(added: ArgumentParser) -> None:
     added.add_argument("--random", metavar="N", type=whole, help="the same, each point by itself")
     added.add_argument("--metrics", metavar="NAMES", help="which metrics, joined by commas; left out: the tracking "
                        "error, the largest force, the energies")
-    added.add_argument("--engine", metavar="NAME", help="plain, or compiled: c (by a C compiler), scalar, "
-                       "vector (extra `batch`); left out: by the amount of work")
+    added.add_argument("--engine", metavar="NAME", help="plain, or by the C compiler: c (a row at a time) or "
+                       "vector (several); left out: by the amount of work")
     added.add_argument("--workers", metavar="N", type=whole, help="rows run in N threads; left out: one for each core")
     added.add_argument("--cluster", metavar="ADDRESS", help="HOST:PORT of a dask scheduler whose workers run the rows "
                        "(needs the extra `cluster`); left out: this machine")
@@ -185,8 +185,7 @@ def _tune(added: ArgumentParser) -> None:
                        "where the environment is M times as stiff (knob k_e); left out: 1")
     added.add_argument("--playouts", metavar="LIST", help="playouts that are tried too, joined by commas, for example "
                        "integral,fixed:0.1:integral; left out: the scene's alone")
-    added.add_argument("--engine", metavar="NAME", help="plain, c, scalar or vector; left out: by the amount of "
-                       "work")
+    added.add_argument("--engine", metavar="NAME", help="plain, c or vector; left out: by the amount of work")
     added.add_argument("--workers", metavar="N", type=whole, help="rows run in N threads; left out: one for each core")
     _out(added, "LAW-tune")
     _json(added)
@@ -202,7 +201,7 @@ def _advise(added: ArgumentParser) -> None:
                        "hard_wall, a reach into a wall that is pressed then")
     _set_and_link(added)
     added.add_argument("--budget", metavar="N", type=whole, help="most rows of the search, shared by the laws; left "
-                       "out: 12,000 for each law, 60 where neither a C compiler nor the extra `batch` is there")
+                       "out: 12,000 for each law, 60 where there is no C compiler")
     added.add_argument("--laws", metavar="LIST", help="laws that are tried, joined by commas; left out: all with two "
                        "ends")
     added.add_argument("--objective", metavar="NAME", default="balanced", help="as `teleop tune` has it; left out: "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -22,9 +23,7 @@ from teleop.simulation.prepared import prepare
 from teleop.simulation.source import RowRecorder, bind, functions, loop_of
 from teleop.simulation.structure import run_of, structure_of
 from teleop.simulation.tick import loop
-from teleop.sweeps.kernels.c_kernel import c_kernel
-from teleop.sweeps.kernels.engines import scalar_kernel, vector_kernel
-from teleop.sweeps.kernels.figures import ALONG
+from teleop.sweeps.kernels.c_kernel import Form, c_kernel, kernel_text, vector_kernel
 from teleop.sweeps.kernels.kernel import (
     Kernel,
     LinkSchedule,
@@ -35,11 +34,10 @@ from teleop.sweeps.kernels.kernel import (
     plain_kernel,
     tree_of,
 )
-from teleop.sweeps.kernels.lanes import WIDTH
 from tests.engines.cases import CASES
 from tests.teleop.emit.printed import assert_same
 
-MAKERS = {"plain": plain_kernel, "c": c_kernel, "scalar": scalar_kernel, "alike": vector_kernel, "apart": vector_kernel}
+MAKERS = {"plain": plain_kernel, "c": c_kernel, "alike": vector_kernel, "apart": vector_kernel}
 Rows = list[tuple[str, int, dict[str, float]]]  # status, ticks and figures of each scene
 
 
@@ -90,13 +88,17 @@ def assert_printed(name: str) -> None:
             assert_same(of, e, Path(folder))
 
 
-def assert_as_plain(name: str, engine: str, *, sums: bool = True) -> None:
+def assert_as_plain(name: str, engine: str) -> None:
     """Hold a compiled kernel to the same in plain Python, in every digit and the sign of a zero."""
     alike, offered = engine == "alike", available(scenes_of(name)[0])
-    measures = sorted(offered if sums else offered & {*ALONG})
-    scenes = scenes_of(name)[:WIDTH if engine == "apart" and not sums else None]
-    plain = [(*end, {key: row[key] for key in row if sums or key in ALONG}) for *end, row in plain_rows(name, alike)]
-    assert repr(kernel_rows(engine, scenes, alike=alike, measures=measures)) == repr(plain[:len(scenes)])
+    assert repr(kernel_rows(engine, scenes_of(name), alike=alike, measures=sorted(offered))) == repr(
+        plain_rows(name, alike))
+
+
+def one_lane_after_the_other(of: Scene) -> set[str]:
+    """The functions that a kernel over lanes calls for each of them, as no lines do all of them at once."""
+    text = kernel_text(of, exact_bodies(of), sorted(available(of)), Form(4))
+    return set(re.findall(r"/\* (.*), one lane after the other \*/", text))
 
 
 def assert_as_it_stands(name: str) -> None:

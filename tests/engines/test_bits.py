@@ -3,16 +3,13 @@
     tick     the loop that is made of the tick, beside the tick as it stands
     plain    a kernel in plain Python, beside single runs
     c        that kernel printed as C and compiled, beside the plain one
-    scalar   that kernel compiled by numba for one scene at a time, beside the plain one
-    alike    compiled for eight side by side that share link and path
+    alike    the same over lanes, for scenes side by side that share link and path
     apart    the same, each with a link and a path of its own
     stepped  two ends with their protocol, stepped in one process, beside a single run
     printed  each end printed as C and compiled, beside its generator, tame and wild (`teleop.emit`)
 
-X: in the ordinary suite, x: there without the figures that are fitted to sums, which take more than half of a kernel's
-compiling, and `apart` without the scenes beyond one register, which ask for the kernel of `alike`; f: with `-m full`,
--: the engine refuses such a scene, blank: not held here. Kernels are kept in the user's cache folder, so each is
-compiled once.
+X: in the ordinary suite, f: with `-m full`, -: the engine refuses such a scene. Kernels are kept
+in the user's cache folder, so each is compiled once.
 """
 
 from __future__ import annotations
@@ -37,40 +34,40 @@ from tests.engines.engines import (
 from tests.programs import COMPILERS, program
 
 TABLE = """
-                                        tick  plain  c      scalar  alike  apart  stepped printed
-waves by their integral                 X     X      X      X       f      x      X       f
-waves of three axes                     f     f      f      f       f      f      f       f
-waves, ticks left out                   X     f      X      f              f      -       f
-waves, energy                           f     X      X      f              f      f       f
-waves, energy, ticks left out           f     f      f      f              f      -       f
-waves, fixed                            f     X      X      f              f      f       f
-waves, fixed, ticks left out            f     f      f      f              f      -       f
-waves, scaled, ticks left out           f     f      X      f              f      -       f
-forces that diverge                     f     X      X      f       f      f      X       f
-forces that diverge, constant delays    f     f      f      f       f      f      f       f
-limits, devices and a watchdog          X     X      X      f       f      x      X       X
-ticks left out                          X     X      X      f       x      f      -       f
-a one-port                              X     X      X      X       X      X      -       f
-a user's law, a clutch and gaps         X     X      X      x       f      x      X       X
-a user's law in two axes                f     f      f      f       f      f      f       f
-a clutch and a small slew limit         f     f      f      f       f             f       f
-a deadband                              X     X      X      f       f      f      -       f
-stages around a law                     f     X      X      f       f      f      f       X
-a coupling with branches                f     f      X      f       f      f      -       f
-axes of their own                       X     X      f      f       f      f      X       f
-eleven axes                             X     X      f      f                     f       f
-coupled axes without a link             X     X      X      f       f      f      f       f
-rotations                               X     X      X      f       f      f      X       f
-six axes                                f     f      f      f              f      f       f
-position servos                         X     X      X      f       -      -      X       f
-friction                                X     X      X      f       -      -      f       f
-soft and relaxing bodies that move      X     X      X      f       -      -      f       f
-relaxing, moved and none                f     f      X      f       -      -      f       f
-windows of readings                     X     X      X      f                     f       f
-end fit, friction                       f     f      X      f                     -       f
-best fit, electrical damping            f     f      f      f                     -       f
-end fit of one reading                  f     f      f      f                     -       f
-levant                                  f     f      X      f                     -       f
+                                        tick  plain  c      alike  apart  stepped printed
+waves by their integral                 X     X      X      f      X      X       f
+waves of three axes                     f     f      f      f      f      f       f
+waves, ticks left out                   X     f      X      f      f      -       f
+waves, energy                           f     X      X      f      f      f       f
+waves, energy, ticks left out           f     f      f      f      f      -       f
+waves, fixed                            f     X      X      f      f      f       f
+waves, fixed, ticks left out            f     f      f      f      f      -       f
+waves, scaled, ticks left out           f     f      X      f      f      -       f
+forces that diverge                     f     X      X      f      f      X       f
+forces that diverge, constant delays    f     f      f      f      f      f       f
+limits, devices and a watchdog          X     X      X      f      X      X       X
+ticks left out                          X     X      X      X      f      -       f
+a one-port                              X     X      X      X      X      -       f
+a user's law, a clutch and gaps         X     X      X      f      X      X       X
+a user's law in two axes                f     f      f      f      f      f       f
+a clutch and a small slew limit         f     f      f      f      f      f       f
+a deadband                              X     X      X      f      f      -       f
+stages around a law                     f     X      X      f      f      f       X
+a coupling with branches                f     f      X      f      f      -       f
+axes of their own                       X     X      f      f      f      X       f
+eleven axes                             X     X      f      f      f      f       f
+coupled axes without a link             X     X      X      f      f      f       f
+rotations                               X     X      X      f      f      X       f
+six axes                                f     f      f      f      f      f       f
+position servos                         X     X      X      -      -      X       f
+friction                                X     X      X      -      -      f       f
+soft and relaxing bodies that move      X     X      X      -      -      f       f
+relaxing, moved and none                f     f      X      -      -      f       f
+windows of readings                     X     X      X      f      f      f       f
+end fit, friction                       f     f      X      -      -      -       f
+best fit, electrical damping            f     f      f      -      -      -       f
+end fit of one reading                  f     f      f      f      f      -       f
+levant                                  f     f      X      f      f      -       f
 """
 HEAD, *LINES = TABLE.strip("\n").splitlines()
 PLACES = {word.group(): word.start() for word in re.finditer(r"\S+", HEAD)}
@@ -79,25 +76,22 @@ CELLS = {(line[:40].strip(), engine): line[place:place + 1].strip()
 COMPILED = ("canonical", "recorded_reach", "encoder_wall", "virtual_coupling", "jittery_wan")
 CELLS |= {(name, engine): "f" for name in built_in_scenes() if name != "lte"
           for engine in ("tick", "plain", "c", "printed")}
-CELLS |= {(name, "scalar"): "f" for name in COMPILED} | {("beating_heart", "scalar"): "x"}  # a bound part
+CELLS |= {(name, "alike"): "f" for name in COMPILED} | {("beating_heart", "c"): "X"}  # a bound part
 RUN = [pytest.param(name, engine, id=f"{engine}-{name.replace(' ', '_')}", marks=[pytest.mark.full] * (cell == "f"))
-       for (name, engine), cell in CELLS.items() if cell in ("X", "x", "f")]
+       for (name, engine), cell in CELLS.items() if cell in ("X", "f")]
 
 
 def test_the_table_has_every_case() -> None:
     assert {name for name, _ in CELLS} == {*CASES}
-    assert {*CELLS.values()} == {"X", "x", "f", "-", ""}
+    assert {*CELLS.values()} == {"X", "f", "-"}
     assert {engine for (_, engine), cell in CELLS.items() if cell == "X"} == {*PLACES}
 
 
 @pytest.mark.parametrize(("name", "engine"), RUN)
 def test_an_engine_gives_the_bits_of_a_single_run(name: str, engine: str) -> None:
-    if engine == "c":
+    if engine in ("c", "alike", "apart"):
         program(*COMPILERS)
-    if engine in ("scalar", "alike", "apart"):
-        pytest.importorskip("numba")
-    if engine in ("c", "scalar", "alike", "apart"):
-        assert_as_plain(name, engine, sums=CELLS[name, engine] != "x")
+        assert_as_plain(name, engine)
     else:
         {"tick": assert_as_it_stands, "plain": assert_as_runs, "stepped": assert_stepped,
          "printed": assert_printed}[engine](name)

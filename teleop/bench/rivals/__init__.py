@@ -19,6 +19,7 @@ from statistics import median
 
 from teleop.bench.rivals import control, jitcdde, numpy_batch
 from teleop.bench.rivals.rival import Absent, Rival, best_seconds, ours
+from teleop.sweeps.engine import need_compiler
 
 Row = tuple[str, str, str]
 RIVALS = (numpy_batch.located_batch, numpy_batch.stepped_batch, jitcdde.rival, control.rival)
@@ -26,9 +27,7 @@ RIVALS = (numpy_batch.located_batch, numpy_batch.stepped_batch, jitcdde.rival, c
 
 def rivals(rounds: int) -> list[Row]:
     """Rows of (what, measured, asked or error)."""
-    from teleop.sweeps.kernels.compiled import need_numba
-
-    need_numba("scalar")
+    need_compiler("vector")
     engine, steps, run = ours()
     present: list[Rival] = []
     absent: list[Row] = []

@@ -121,7 +121,7 @@ def hold_wave(s: HeldWave, at: At, is_sent: float, q: float) -> tuple[float, Hel
 
 ask = hold_field = rest = Record = nothing
 size = 0
-zeros: tuple[float, ...] = ()  # made outside the function, for numba does not repeat a tuple
+zeros: tuple[float, ...] = ()
 FIELDS: dict[str, dict[str, Any]] = {
     "sample": {"ask": asks, "hold_field": hold, "Record": HeldSample, "size": 1},
     "wave": {"ask": wave_asks, "hold_field": hold_wave, "Record": HeldWave, "size": 3},

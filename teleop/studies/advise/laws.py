@@ -26,7 +26,7 @@ from teleop.simulation.notes import unmet
 from teleop.studies.parallel import stream
 from teleop.studies.tune.objective import Score
 from teleop.studies.tune.search import LawSearch, Scored, SearchJob, Tuned
-from teleop.sweeps.engine import PLAIN, is_installed
+from teleop.sweeps.engine import PLAIN, compiles
 from teleop.sweeps.grid import json_value
 from teleop.sweeps.kernels.functions import digest
 from teleop.sweeps.runner import cores, plan_sweep
@@ -36,7 +36,7 @@ from teleop.version import __version__
 
 MARGIN = 2.0  # by which the wall may be stiffer in the search
 SETTLED = 20.0  # s after which the time that is left is shown
-COMPILES = {"plain": 0.0, "c": 2.0, "scalar": 12.0}  # s, a law's kernels, on the machine of `teleop/studies/README.md`
+COMPILES = {"plain": 0.0, "c": 2.0}  # s, a law's kernels, on the machine of `teleop/studies/README.md`
 FASTER = 60.0  # times, compiled
 LATE = 0.995  # of the packets that come, which a fixed playout delay is to play
 
@@ -262,7 +262,7 @@ class LawSearches:
         self.jobs, self.store, self.workers, self.clock, self.show = jobs, store, workers, clock, show
         first = jobs[0].search
         each = PLAIN * load_scene(first.scene, **first.fixed).ticks
-        engine = "plain" if first.engine == "plain" else next(filter(is_installed, ("c", "scalar")), "plain")
+        engine = "plain" if first.engine == "plain" else "c" if compiles() else "plain"
         self.outlook = Outlook(len(jobs), first.budget, min(workers, len(jobs)), COMPILES[engine],
                                each if engine == "plain" else each / FASTER)
         self.points = [len(job.known) for job in jobs]

@@ -59,7 +59,7 @@ from teleop.studies.tune.strategy import (
     round_beyond,
     value_at,
 )
-from teleop.sweeps.engine import choose, plainer
+from teleop.sweeps.engine import PLAINER, choose
 from teleop.sweeps.grid import Grid, Range, grid, sampled
 from teleop.sweeps.runner import LARGEST, carry_out, cores, plan_sweep
 
@@ -231,7 +231,7 @@ class LawSearch:
                           f"takes ({', '.join(self.tasks)}); write for example --budget 200")
         self.engine = engine or choose(None, self.scene, max(budget, 16), self.measures)[0]
         if self.engine == "vector" and engine is None and budget < SIDE_BY_SIDE:
-            self.engine = plainer("vector")
+            self.engine = PLAINER["vector"]
         self.rows = self.requested = 0
         self.scores: dict[Point, Score] = {}
         self.stable: dict[Point, bool] = {}  # points with their linear loop tried

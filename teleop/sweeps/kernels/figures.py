@@ -1,6 +1,6 @@
 """Running figures of a kernel, in place of a record: worked out tick by tick in order.
 
-Where eight scenes run side by side, each leaves the run at its own tick: `LaneFigures`.
+Where several scenes run side by side, each leaves the run at its own tick: `LaneFigures`.
 """
 
 from __future__ import annotations
@@ -355,7 +355,7 @@ class RunningFigures(Recorder):
 
 
 class LaneFigures(RunningFigures):
-    """The same of eight scenes, each stored when it leaves its bounds, or at the end."""
+    """The same of scenes side by side, each stored when it leaves its bounds, or at the end."""
 
     out: Any
     alive: Any  # mask of the scenes that are within their bounds

@@ -8,10 +8,9 @@ as it stands; fast-math is off, so every engine agrees with plain Python to the 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import lru_cache
-from itertools import count
 from math import isfinite
 from threading import Lock
 from typing import Any, NamedTuple
@@ -283,26 +282,6 @@ def _take(tree: Any, shape: list[Any], reals: array[float], wholes: list[int], a
     else:
         shape.append("i")
         wholes.append(0 if tree is None else int(tree))
-
-
-def expression(shape: tuple[Any, ...], real: str, class_name: Callable[[type], str]) -> str:
-    """Expression that puts the tree together, `real` with the number of a float in place of `{}`."""
-    numbers = {"f": count(), "i": count(), "a": count()}
-    words = {"f": real, "i": "wholes[{}]", "a": "arrays[{}]"}
-
-    def some(code: Any, rest: Iterator[Any]) -> list[str]:
-        """Terms of one code: several numbers side by side, or one tuple."""
-        if isinstance(code, int) or code in words:
-            kind, many = ("f", code) if isinstance(code, int) else (code, 1)
-            return [words[kind].format(next(numbers[kind])) for _ in range(many)]
-        inner: list[str] = []
-        while (each := next(rest)) != ")":
-            inner += some(each, rest)
-        start = "(" if code == "(" else f"{class_name(code)}("
-        return [f"{start}{', '.join(inner)}{',' if inner and code == '(' else ''})"]
-
-    rest = iter(shape)
-    return some(next(rest), rest)[0]
 
 
 TICKS = 4_000_000  # of schedules and paths, about: 64 MB

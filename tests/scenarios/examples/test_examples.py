@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from channel import check_effect
 from scenarios.examples.effect import Handover
 from scenarios.examples.law import SmoothReflection
 from scenarios.examples.stage import AlphaBeta
-from teleop import BackwardDifference, check_law, load_scene
-from teleop.sweeps.kernels.functions import without_lanes
+from teleop import BackwardDifference, Device, check_law, load_scene
+from tests.engines.engines import one_lane_after_the_other
 from tests.fakes import usually
 from tests.teleop.stages.velocity.test_estimators import conforms
 
@@ -85,6 +86,7 @@ def test_law_and_effect_keep_what_every_law_and_effect_promises() -> None:
 
 def test_the_estimator_keeps_the_contract_of_estimators_and_has_lanes() -> None:
     conforms(AlphaBeta())
-    step: Any = AlphaBeta.step
-    assert without_lanes(step) is None
-    assert without_lanes(BackwardDifference.step) is None  # type: ignore[arg-type]  # a plain function behind it
+    estimators: tuple[Any, ...] = AlphaBeta(), BackwardDifference()
+    for each in estimators:
+        of = replace(load_scene("canonical"), device_m=Device(velocity=each))
+        assert one_lane_after_the_other(of) == {"move_wall"}

@@ -9,7 +9,7 @@ import pytest
 from teleop.bench.__main__ import BENCHES, LINES, MISSED, Elsewhere, Item, labelled, measured, table
 from teleop.scene.library import ROOT
 
-ROWS = [("constant delay: C", "19.3 ns a tick", ""), ("constant delay: scalar", "23.5 ns a tick", ""),
+ROWS = [("constant delay: C", "19.3 ns a tick", ""), ("constant delay: c", "23.5 ns a tick", ""),
         ("  over C", "2.21 times", "asked: at most 1.8"), ("pp: live tick", "2.4 / 2.3 us", "asked: at most 10"),
         ("wave: live tick", "12.2 / 2.7 us", "asked: at most 10"),
         ("late", "30 us", "0.93 times C; asked: at most 1.5"), ("both", "81 / 80 us", "asked: at most 90 / 70"),
@@ -25,7 +25,7 @@ def test_the_readme_had_other_lines_than_its_command_prints() -> None:
 
 
 @pytest.mark.parametrize(("patterns", "cell"), [
-    (("constant delay: scalar: over C",), f"2.21 times {MISSED}"),
+    (("constant delay: c: over C",), f"2.21 times {MISSED}"),
     ((".*: live tick",), f"2.3 to 12.2 us {MISSED}"), (("pp: live tick", "gain"), "2.4 / 2.3 us; 1.9 times"),
     (("used",), f"99.9 / 97.4 %; 1 {MISSED}"),
     (("late",), "30 us, 0.93 times C"), (("both",), f"81 / 80 us {MISSED}"), (("nothing", "gain"), "no row; 1.9 times"),

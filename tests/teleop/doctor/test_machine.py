@@ -188,11 +188,11 @@ def test_it_says_what_is_installed_and_what_is_not(typed: Callable[..., Any], ca
     assert [one["name"] for one in document["findings"]] == \
         ["name", "timer", "real time", "loopback", "buffer", "frequency"]
     assert all((one["cure"] is None) == (one["good"] is not False) for one in document["findings"])
-    monkeypatch.setattr(command, "version_of", lambda name: None if name == "numba" else "1.2.3")
+    monkeypatch.setattr(command, "version_of", lambda name: None if name == "matplotlib" else "1.2.3")
     monkeypatch.setattr(command, "find_compiler", lambda: None)
     out = typed("doctor").out
-    assert "C compiler          none: install gcc or clang, and sweeps compile in a second" in out
-    assert "not installed: pip install 'bilateral-teleop[batch]'" in out
+    assert "C compiler          none: install gcc or clang, and sweeps run some 100 times faster" in out
+    assert "not installed: pip install 'bilateral-teleop[plot]'" in out
     assert str(cache) in out
 
 
@@ -205,7 +205,7 @@ def test_it_needs_no_numpy_so_it_says_what_is_installed_where_that_cannot_be_loa
 
 
 def test_it_clears_the_kernels_and_nothing_else(typed: Callable[..., Any], cache: Path) -> None:
-    assert typed("doctor", "--clear").out.startswith("1 kernel removed")
+    assert typed("doctor", "--clear").out.startswith("2 kernels removed")
     assert [path.name for path in cache.rglob("*") if path.is_file()] == ["notes.txt"]
     assert json.loads(typed("doctor", "--json").out)["kernels"]["modules"] == 0
     assert typed("doctor", "--clear").code == 0  # where there is nothing

@@ -12,8 +12,10 @@ import pytest
 
 from teleop import At, Device, Scene, load_scene
 from teleop.emit import files as files_module
+from teleop.emit.expressions import c_word
 from teleop.emit.files import files
 from teleop.emit.primitives import HELPERS, PRIMITIVES, Primitive
+from teleop.emit.types import DOUBLE, INT, Types
 from teleop.emit.vectors import vectors
 from tests.teleop.emit.printed import compiled, differences, limited
 
@@ -205,3 +207,14 @@ def test_a_long_window_is_no_longer_in_c_than_a_short_one() -> None:
         return text
 
     assert printed(30).count("\n") == printed(900).count("\n")
+
+
+def test_a_second_record_of_a_class_had_the_name_of_a_pair_of_the_first() -> None:
+    types = Types("t_")
+    first = types.struct("Odd", {"a": DOUBLE}, Odd)
+    kinds = [first, types.array(first, 2), types.struct("Odd", {"a": INT}, Odd), types.array(first, 3)]
+    assert len({types.c(each) for each in kinds}) == len(kinds)
+
+
+def test_a_variable_that_was_called_as_a_helper_hid_it() -> None:
+    assert [c_word(name) for name in ("py_min", "vec_max", "v_max")] == ["py_min_", "vec_max_", "v_max"]

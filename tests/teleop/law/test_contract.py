@@ -20,6 +20,7 @@ from teleop.__main__ import main as teleop
 from teleop.law import BUILT_IN
 from teleop.law.contract import check_contract, in_bits, refusal
 from teleop.scene.library import scene_function
+from tests.programs import compiler_of
 
 LAW = '''
 from dataclasses import dataclass, replace
@@ -198,12 +199,13 @@ def test_a_mistake_is_told_with_its_line_before_anything_runs(mistake: str, file
 
 @pytest.mark.parametrize("mistake", ["forgets it in a branch", "keeps count in its class"])
 def test_a_mistake_has_one_sentence_wherever_the_law_is_run(mistake: str, file: Any) -> None:
+    compiler_of("vector")
     file(AT_ONCE[mistake][0])
     with pytest.raises(Refused) as refused:
         load_scene("mine.py")
     sentence = str(refused.value)
     assert AT_ONCE[mistake][1] in sentence
-    for engine in ("plain", "scalar", "vector"):
+    for engine in ("plain", "c", "vector"):
         with pytest.raises(Refused) as swept:
             sweep("mine.py", seeds=2, engine=engine)
         assert str(swept.value) == sentence
@@ -230,9 +232,10 @@ def test_a_mistake_in_a_line_that_runs_later_is_told_when_it_runs(mistake: str, 
 
 @pytest.mark.full
 @pytest.mark.parametrize(("mistake", "engine"), [
-    ("returns a text", "scalar"), ("returns another message", "vector"), ("raises an error of its own", "vector")])
+    ("returns a text", "c"), ("returns another message", "vector"), ("raises an error of its own", "vector")])
 def test_compiled_rows_of_a_law_with_a_mistake_in_a_later_line_run_plain_and_say_so(
         mistake: str, engine: str, file: Any) -> None:
+    compiler_of(engine)
     method, said = LATER[mistake]
     place = file(method)
     table: Any = sweep("mine.py", {"duration": [0.3, 0.01]}, engine=engine, metrics=["f_m_max"])

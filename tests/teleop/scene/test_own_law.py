@@ -153,15 +153,13 @@ class TestInASweep:
             assert row.get("x_err_rms", row.get("greatest")) in (alone.metrics["x_err_rms"], greatest(alone))
 
     def test_another_content_is_another_kernel(self, written: Path) -> None:
-        pytest.importorskip("numba")
-        from teleop.sweeps.kernels.compiled import module_text
-        from teleop.sweeps.kernels.engines import SCALAR
+        from teleop.sweeps.kernels.c_kernel import Form, library_name
 
         names = set()
         for text in (MINE, MINE, MINE.replace("+ self.B * at.v,", "- self.B * at.v,")):
             (written / "law_mine.py").write_text(text)
             scene = load_scene("soft_tissue", law="law_mine.py")
-            names.add(module_text(scene, exact_bodies(scene), ["x_err_rms"], SCALAR)[1])
+            names.add(library_name(scene, exact_bodies(scene), ["x_err_rms"], Form(), "cc"))
         assert len(names) == 2
 
 

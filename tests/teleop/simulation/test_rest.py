@@ -19,6 +19,7 @@ from teleop.scene.library import built_in_scenes
 from teleop.simulation.prepared import prepare
 from teleop.simulation.rest import FELT, LATE, WINDOWS, swings, trend
 from teleop.sweeps.engine import needs_record
+from tests.programs import compiler_of
 
 T = np.arange(3000) * 1e-3
 
@@ -200,10 +201,11 @@ def rendered(tmp_path: Path) -> Path:
 
 
 class TestASweep:
-    @pytest.mark.parametrize("engine", ["plain", pytest.param("scalar", marks=pytest.mark.full), "vector"])
+    @pytest.mark.parametrize("engine", ["plain", pytest.param("c", marks=pytest.mark.full), "vector"])
     def test_gives_every_row_the_status_and_the_swing_of_its_run_whenever_each_comes_to_stand(
         self, engine: str, rendered: Path
     ) -> None:
+        compiler_of(engine)
         axes = {"reach": [0.2, 0.3, 0.7, 1.4], "K": [50.0, 500.0, 4000.0, 8000.0]}
         table = sweep(rendered, axes, metrics=["swing_end", "f_m_max"], engine=engine)
         for row in table:

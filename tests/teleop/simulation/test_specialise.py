@@ -271,6 +271,6 @@ def test_the_page_of_the_evaluator_shows_what_it_makes_of_a_stage(
     module = import_module("stage_of_the_page")
     e = StageEnd("m", 1, EndHas(touch=True))
     e.stages = (module.BrakeStage(e, None),)
-    for engine in ("plain", "scalar", "vector"):
+    for engine in ("plain", "c", "vector"):
         made = specialise(module.act, Run(), e, engine=engine)
         assert ast.unparse(made.tree).strip() == blocks[engine].strip(), engine

@@ -14,6 +14,7 @@ from teleop.scene.library import scene_function
 from teleop.scene.loading import SceneMaker
 from teleop.sweeps.chunk import Job, work
 from teleop.sweeps.rows import RowMaker, same
+from tests.programs import compiler_of
 
 MEASURES = ("x_err_rms", "f_err_max", "f_env_max", "E_link_min")
 FIXED = {"duration": 0.2, "link": "delay(0.02) | bernoulli(0.05)"}
@@ -33,10 +34,11 @@ def job(knobs: list[dict[str, Any]], engine: str) -> Job:
 ALIKE = [own for own in KNOBS if not {"law", "energy", "observer"} & own.keys()]  # all run by one kernel
 
 
-@pytest.mark.parametrize(("engine", "given"), [("plain", KNOBS), ("scalar", ALIKE), *[
-    pytest.param(engine, KNOBS, marks=pytest.mark.full) for engine in ("scalar", "vector")]],
-    ids=["plain", "scalar, of one law", "scalar", "vector"])
+@pytest.mark.parametrize(("engine", "given"), [("plain", KNOBS), ("c", ALIKE), *[
+    pytest.param(engine, KNOBS, marks=pytest.mark.full) for engine in ("c", "vector")]],
+    ids=["plain", "c, of one law", "c", "vector"])
 def test_a_row_is_what_it_is_alone_whatever_rows_came_before_it(engine: str, given: list[dict[str, Any]]) -> None:
+    compiler_of(engine)
     # Rows of one job have the same knobs: each has all of them here.
     every = dict.fromkeys(name for own in given for name in own)
     default = {"k_e": 5e3, "d_e": 5.0, "law": "wave", "law.K": 500.0, "amplitude": 0.05, "k_h": 200.0,

@@ -15,7 +15,7 @@ from teleop.checks.conformance import try_conformance
 from teleop.checks.trials import try_claims
 from teleop.laws.around import compose, guard
 from teleop.laws.around.guard import Account, FromSlave, GuardWrapper, Work, let_through, master
-from teleop.sweeps.kernels.functions import unlike_python, without_lanes
+from tests.engines.engines import one_lane_after_the_other
 
 GUARD = GuardWrapper(k=5000.0, alpha=50.0, v_min=1e-3, drag=4.0)
 
@@ -98,9 +98,7 @@ def test_what_comes_out_claims_its_books_and_keeps_them_in_the_trials() -> None:
     assert dict(guarded.claims) == {"E_law": "any link"}
     try_conformance(guarded)
     try_claims(guarded)
-    for end in (type(guarded).master, type(guarded).slave, type(guarded).master_sums, type(guarded).slave_sums):
-        assert without_lanes(end) is None
-        assert unlike_python(end) is None
+    assert one_lane_after_the_other(load_scene("canonical", law=guarded)) == {"move_wall"}
 
 
 @pytest.mark.full

@@ -25,9 +25,9 @@ from teleop.scene.loading import asks_for_trust
 from teleop.simulation.ending import scene_arguments as as_typed
 from teleop.simulation.prepared import prepare
 from teleop.simulation.result import parameters
-from teleop.sweeps.kernels.compiled import module_text
-from teleop.sweeps.kernels.engines import VECTOR
+from teleop.sweeps.kernels.c_kernel import Form, library_name
 from tests.fakes import law_of
+from tests.programs import compiler_of
 from tests.teleop.conftest import Answer
 
 Typed = Callable[..., Answer]
@@ -83,7 +83,7 @@ class Softer:
 
 
 def test_a_stage_of_ones_own_runs_in_every_engine_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba")
+    compiler_of("vector")
     monkeypatch.setitem(STAGES, "softer", f"{__name__}:Softer")
     axes = {"law.softer_share": [0.5, 1.0], "law.guard_k": [5000.0, 1.0]}
     fixed = {"law": "guard | softer | direct", "duration": 0.3, "energy": False}
@@ -114,7 +114,7 @@ def test_a_stage_whose_record_has_a_name_of_at_is_told_so(monkeypatch: pytest.Mo
 
 def test_rows_that_differ_in_numbers_share_a_kernel() -> None:
     scenes = [load_scene("free_motion", law=f"deadband({k}) | pfra", duration=0.3) for k in (0.1, 0.2)]
-    assert len({module_text(scene, prepare(scene).bodies, ("x_err_rms",), VECTOR)[1] for scene in scenes}) == 1
+    assert len({library_name(scene, prepare(scene).bodies, ("x_err_rms",), Form(4), "cc") for scene in scenes}) == 1
 
 
 def test_a_composed_law_goes_to_another_process() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from teleop import PFRA, TDPA, At, Direct, PDamped, Refused, Wave, around, check_law, facts_of, load_scene, run
 from teleop.analysis.models.linear import linear_scene
-from teleop.sweeps.kernels.functions import unlike_python, without_lanes
+from tests.engines.engines import one_lane_after_the_other
 
 WAVES = {0.0: 3.9736, 0.05: 0.936037}  # N, pressed for ever by hard_wall: without a coupling, see test_touch
 
@@ -83,11 +83,9 @@ def test_it_is_linear_as_its_law_is() -> None:
     linear_scene(scene)
 
 
-def test_its_lines_have_no_branch() -> None:
-    law = around("virtual_coupling", Wave())
-    for name in ("master", "slave"):
-        assert unlike_python(getattr(type(law), name)) is None
-        assert without_lanes(getattr(type(law), name)) is None
+def test_its_lines_run_over_all_lanes_at_once() -> None:
+    of = load_scene("canonical", law=around("virtual_coupling", Wave()))
+    assert one_lane_after_the_other(of) == {"move_wall"}
 
 
 def test_the_one_port_law_of_this_name_is_still_that() -> None:

@@ -1,9 +1,8 @@
-"""The cache of compiled kernels holds pickles: what another user may have put there is never opened."""
+"""The cache of compiled kernels holds libraries: what another user may have put there is never loaded."""
 
 from __future__ import annotations
 
 import os
-import pickle
 import shutil
 import stat
 import subprocess
@@ -12,13 +11,13 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from teleop.scene.library import ROOT
 from teleop.sweeps.kernels import cache_folder
 from teleop.sweeps.kernels.cache_folder import KernelsNotKept, made_private, open_to_others, tell_once
+from tests.programs import COMPILERS, program
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no owner there")
 KERNELS = "bilateral-teleop/kernels"
@@ -36,7 +35,7 @@ def place() -> Iterator[Path]:
 def made(folder: Path) -> Path:
     """A cache folder with a kernel, as this package makes it."""
     made_private(folder / KERNELS)
-    (folder / KERNELS / "teleop_kernel_1.py").write_text("")
+    (folder / KERNELS / "teleop_kernel_c_1.so").write_text("")
     return folder / KERNELS
 
 
@@ -74,11 +73,11 @@ class TestAFolder:
     def test_that_no_other_user_may_enter_is_made_use_of_whatever_a_wide_umask_left_in_it(self, place: Path) -> None:
         kernels = made(place)
         kernels.chmod(0o775)
-        (kernels / "teleop_kernel_1.py").chmod(0o664)
+        (kernels / "teleop_kernel_c_1.so").chmod(0o664)
         assert kernels.parent.stat().st_mode & 0o077 == 0
         assert open_to_others(kernels, "teleop_kernel_") is None
 
-    @pytest.mark.parametrize("which", [".", "..", "teleop_kernel_1.py"])
+    @pytest.mark.parametrize("which", [".", "..", "teleop_kernel_c_1.so"])
     def test_of_another_user_or_with_a_file_of_theirs_is_not(
         self, which: str, place: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -90,10 +89,10 @@ class TestAFolder:
         kernels = made(place)
         for each in (kernels, kernels.parent):
             each.chmod(0o755)
-        (kernels / "teleop_kernel_1.py").chmod(0o666)
+        (kernels / "teleop_kernel_c_1.so").chmod(0o666)
         assert "others may write to" in str(open_to_others(kernels, "teleop_kernel_"))
-        (kernels / "teleop_kernel_1.py").unlink()
-        (kernels / "teleop_kernel_1.py").symlink_to("/etc/hostname")
+        (kernels / "teleop_kernel_c_1.so").unlink()
+        (kernels / "teleop_kernel_c_1.so").symlink_to("/etc/hostname")
         assert "is a link" in str(open_to_others(kernels, "teleop_kernel_"))
 
     def test_that_a_link_leads_to_is_looked_at_where_it_is_and_where_the_link_is(self, place: Path) -> None:
@@ -119,14 +118,17 @@ def test_that_kernels_are_not_kept_is_told_once(monkeypatch: pytest.MonkeyPatch)
     assert told == []
 
 
-class Payload:
-    """A pickle that makes a file when it is opened."""
+PAYLOAD = """
+#include <stdio.h>
+__attribute__((constructor)) static void load(void) {{ fclose(fopen("{path}", "w")); }}
+"""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Path.touch, (self.path,)
+def payload(path: Path, library: Path) -> None:
+    """Put a library that makes a file when it is loaded in the place of another."""
+    library.unlink()  # one that is loaded is not written to
+    subprocess.run([program(*COMPILERS), "-shared", "-fPIC", "-x", "c", "-", "-o", str(library)], check=True, text=True,
+                   input=PAYLOAD.format(path=path))
 
 
 SMALL = """
@@ -140,12 +142,12 @@ def scene(*, k: float = 1e3):
 
 SWEEPS = """
 import os, sys
-import numba
+import teleop.sweeps.kernels.c_kernel
 from teleop.__main__ import main
 for out in map(str.strip, sys.stdin):
     if not os.fork():  # with all imported that takes long, and no kernel yet
         sys.stdout, sys.stderr = open(os.devnull, "w"), open(f"{out}.err", "w")
-        code = main(["sweep", "small.py", "--grid", "k=1e3,2e3", "--metrics", "f_m_max", "--engine", "scalar",
+        code = main(["sweep", "small.py", "--grid", "k=1e3,2e3", "--metrics", "f_m_max", "--engine", "c",
                      "--json", "--out", out])
         sys.stderr.close()
         os._exit(code)
@@ -157,7 +159,7 @@ class TestASweep:
     @pytest.fixture
     def swept(self, place: Path) -> Iterator[Callable[..., str]]:
         """`swept(OUT)`: run a small sweep by compiled code, whose cache is `cache` there, and give its stderr."""
-        pytest.importorskip("numba")
+        program(*COMPILERS)
         (place / "small.py").write_text(SMALL)
         started: list[subprocess.Popen[str]] = []
 
@@ -177,31 +179,19 @@ class TestASweep:
         for process in started:
             process.communicate()
 
-    def test_opens_no_pickle_of_a_cache_that_others_may_write_to_and_says_so_once(
+    def test_loads_no_library_of_a_cache_that_others_may_write_to_and_says_so_once(
         self, swept: Callable[..., str], place: Path
     ) -> None:
         assert swept("own") == ""
-        indexes = list((place / "cache").rglob("*.nbi"))
-        assert indexes
-        for index in indexes:
-            index.write_bytes(pickle.dumps(Payload(place / "opened")))
+        library, = (place / "cache").rglob("*.so")
+        payload(place / "loaded", library)
         swept("control")
-        assert (place / "opened").exists()  # so it goes with a cache that is trusted
-        (place / "opened").unlink()
-        for index in indexes:
-            index.write_bytes(pickle.dumps(Payload(place / "opened")))
+        assert (place / "loaded").exists()  # so it goes with a cache that is trusted
+        (place / "loaded").unlink()
         (place / "cache").chmod(0o777)
         err = swept("other")
-        assert not (place / "opened").exists()
+        assert not (place / "loaded").exists()
         assert err.startswith("teleop: compiled kernels are not kept")
         assert err.count("\n") == 1
         rows = [sorted((place / out / "rows.jsonl").read_bytes().splitlines()) for out in ("own", "other")]
         assert rows[0] == rows[1]
-
-    def test_takes_no_pickle_from_where_a_file_beside_it_has_numba_keep_them(
-        self, swept: Callable[..., str], place: Path
-    ) -> None:
-        (place / "theirs").mkdir(mode=0o777)
-        (place / "theirs").chmod(0o777)
-        assert f"others may write to {place / 'theirs'}" in swept("other", NUMBA_CACHE_DIR=str(place / "theirs"))
-        assert not list((place / "theirs").rglob("*.nbi"))

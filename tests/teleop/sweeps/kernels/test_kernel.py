@@ -8,23 +8,21 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
 import pytest
 
 from scenarios.virtual_wall import scene as virtual_wall
 from slave import StandardLinearSolid, Wall
 from teleop import At, load_scene, run
-from teleop.emit.compiler import find_compiler
 from teleop.laws.direct import Back, Direct, Forth
 from teleop.physics.carried import at_rest, carried, is_carried
 from teleop.physics.plant import MassDamper, free_space
 from teleop.scene.library import ROOT
 from teleop.simulation.bodies import exact_bodies, with_inner
 from teleop.sweeps.chunk import Job, work
-from teleop.sweeps.kernels import compiled
-from teleop.sweeps.kernels.compiled import NotCompiled, module_text
-from teleop.sweeps.kernels.engines import SCALAR, VECTOR, scalar_kernel
+from teleop.sweeps.kernels import c_kernel
+from teleop.sweeps.kernels.c_kernel import Form, kernel_text
 from teleop.sweeps.kernels.kernel import kernel_lines
 from teleop.sweeps.runner import plan_sweep
 from tests.engines.engines import kernel_rows
@@ -40,19 +38,19 @@ def test_figures_that_are_not_asked_for_have_no_lines() -> None:
 
 def test_a_kernel_of_lanes_holds_only_what_the_scene_names() -> None:
     of = replace(load_scene("free_motion", link="none"), energy=False)
-    text, _ = module_text(of, exact_bodies(of), ("x_err_rms",), VECTOR)
+    text = kernel_text(of, exact_bodies(of), ("x_err_rms",), Form(4))
     assert "move_free" in text
-    for line in ("move_wall", "E_port", "packet(", "watch(", "f_err", "newest"):
-        assert line not in text.partition("def loop")[2]
+    for line in ("move_wall", "E_port", "packet(", "watch(", "f_err", "newest_"):
+        assert line not in text
 
 
-def test_the_engine_of_a_few_rows_is_another_than_that_of_many() -> None:
+def test_the_engine_of_a_few_rows_is_another_than_that_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("teleop.emit.compiler.find_compiler", lambda: "cc")
+
     def chosen(rows: int, seconds: float) -> str:
         return plan_sweep("canonical", {"k_e": [1e3 + n for n in range(rows)]}, fixed={"duration": seconds}).engine
 
-    few, many = chosen(8, 600.0), chosen(400, 10.0)
-    assert (few, many) == (("scalar", "vector") if find_compiler() is None else ("c", "c"))
-    assert [chosen(500, 600.0), chosen(400, 0.1)] == ["vector", "plain"]
+    assert [chosen(8, 6000.0), chosen(400, 10.0), chosen(4000, 10.0), chosen(400, 0.1)] == ["c", "c", "vector", "plain"]
 
 
 def test_what_moves_in_the_same_kind_of_environment_is_the_same_part() -> None:
@@ -73,32 +71,6 @@ def test_a_carried_plant_knows_the_one_that_it_carries() -> None:
 
 
 # What is not compiled
-
-
-class Nothing(NamedTuple):
-    x: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Local:
-    claims: ClassVar[dict[str, str]] = {}
-
-    def master_start(self, at: At) -> Any:
-        return (), Nothing(at.x)
-
-    slave_start = master_start
-
-    def master(self, s: Any, at: At, rx: Nothing) -> Any:
-        return 0.0 * rx.x, Nothing(at.x), s
-
-    slave = master
-
-
-def test_what_another_process_cannot_find_is_not_compiled() -> None:
-    of = load_scene("canonical", law=Local(), duration=0.1)
-    bodies = exact_bodies(of)._replace(instead={"move_s0": lambda *rest: (*rest[1:3], 0)})
-    with pytest.raises(NotCompiled, match="made during the run"):
-        scalar_kernel(of, bodies, ("x_err_max",))
 
 
 GAINS = (1.0, 2.0)
@@ -138,13 +110,13 @@ class Loops(Direct):
 
 
 @pytest.mark.parametrize(("law", "engine", "why"), [
-    (Loops(), "c scalar", "Loops.slave has a loop"), (Powers(), "c plain", "`**` with a whole number"),
+    (Loops(), "vector", ""), (Lists(), "plain", "`sum` compensates"),
     *[pytest.param(*each, marks=pytest.mark.full) for each in (
-        (Lists(), "c scalar", "a comprehension"), (Waits(), "vector c scalar", ""),
-            (Counts(), "vector c scalar plain", ""))],
+        (Powers(), "vector", ""), (Waits(), "vector", ""), (Counts(), "vector", ""))],
 ], ids=lambda value: type(value).__name__ if isinstance(value, Direct) else "")
 def test_a_law_that_cannot_be_compiled_runs_otherwise_with_the_same_bits(law: Any, engine: str, why: str) -> None:
     """Each row with a schedule of its own: another kernel over lanes, compiled when it is needed."""
+    program(*COMPILERS)
     rows = [(n, {"k_e": 100.0 + n}, n) for n in range(9)]
     fixed = {"law": law, "duration": 0.1, "link": "delay(0.005) | bernoulli(0.3)", "energy": False}
     done = [work(Job("canonical", fixed, rows, ("x_err_rms", "f_m_max"), each))
@@ -152,7 +124,7 @@ def test_a_law_that_cannot_be_compiled_runs_otherwise_with_the_same_bits(law: An
     assert repr(done[0].rows) == repr(done[1].rows) == repr(done[2].rows)
     for each in done[1:]:
         ((ran, reason), count), = each.ran.items()
-        assert (ran in engine.split(), why in reason, count) == (True, True, 9), (ran, reason)
+        assert (ran, why in reason, count) == (engine, True, 9), (ran, reason)
 
 
 # Scenes, laws and bodies of a user's
@@ -195,6 +167,7 @@ def scene(*, k: float = 10.0, law: object = Mine()) -> Scene:
 
 
 def test_a_law_and_a_body_of_a_scene_file_are_compiled_and_each_row_has_its_own_lists(tmp_path: Path) -> None:
+    program(*COMPILERS)
     (tmp_path / "own.py").write_text(OWN)
     rows = [(n, {"k": 5.0 * n}, 0) for n in range(9)]
     done = {one: work(Job(str(tmp_path / "own.py"), {}, rows, ("x_err_rms", "f_s_max"), one))
@@ -202,7 +175,7 @@ def test_a_law_and_a_body_of_a_scene_file_are_compiled_and_each_row_has_its_own_
     assert repr(done["vector"].rows) == repr(done["plain"].rows)
     assert len({row["f_s_max"] for row in done["vector"].rows}) == 9
     ((ran, _), _), = done["vector"].ran.items()
-    assert ran in ("c", "scalar")
+    assert ran == "c"
 
 
 LAW = '''
@@ -237,10 +210,7 @@ from pathlib import Path
 from teleop import load_scene, run
 from teleop.simulation.bodies import exact_bodies
 from teleop.sweeps.chunk import Job, work
-from teleop.sweeps.kernels.compiled import module_text
-from teleop.sweeps.kernels.c_kernel import library_name
-from teleop.sweeps.kernels.engines import SCALAR
-from teleop.sweeps.kernels.kernel import kernel_lines
+from teleop.sweeps.kernels.c_kernel import Form, library_name
 measures = ("f_m_max",)
 for files, is_run in json.loads(sys.argv[1]):
     for name, text in files.items():
@@ -249,9 +219,8 @@ for files, is_run in json.loads(sys.argv[1]):
         assert os.waitpid(child, 0)[1] == 0
         continue
     of = load_scene("./own.py")
-    made = kernel_lines(of, measures, engine="scalar")
-    print(module_text(of, exact_bodies(of), measures, SCALAR)[1], library_name(of, exact_bodies(of), made, "cc"))
-    for engine in ("c", "scalar") * is_run:
+    print(*[library_name(of, exact_bodies(of), measures, form, "cc") for form in (Form(), Form(4))])
+    for engine in ("c", "vector") * is_run:
         done = work(Job("./own.py", {}, [(0, {}, 1)], measures, engine))
         assert list(done.ran) == [(engine, "")], done.ran
         assert done.rows[0]["f_m_max"] == run(of, seed=1).metrics["f_m_max"], done.rows
@@ -275,7 +244,7 @@ def output(process: subprocess.Popen[str]) -> str:
 
 
 def test_an_edited_law_is_never_served_stale(tmp_path: Path) -> None:
-    """Not even when something was edited that a function below it names, which numba's own cache does not see."""
+    """Not even when something was edited that a function below it names."""
     program(*COMPILERS)
     edits = [({"own.py": SCENE, "mine.py": LAW.replace("{factor}", factor).replace("{tuple}", part),
                "gains.py": f"G = {gain}"}, is_run)
@@ -291,14 +260,14 @@ def test_a_folder_that_cannot_be_written_to_leaves_the_kernel_in_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "taken").write_text("a file where the folder should be")
-    monkeypatch.setattr(compiled, "folder", lambda: tmp_path / "taken" / "kernels")
+    program(*COMPILERS)
+    monkeypatch.setattr(c_kernel, "folder", lambda: tmp_path / "taken" / "kernels")
     of, measures = replace(virtual_wall(b=0.81), duration=0.05, energy=False), ("f_m_max",)
-    text, name = module_text(of, exact_bodies(of), measures, SCALAR)
-    sys.modules.pop(f"teleop_kernel_{name}", None)
     single = run(of)
-    assert kernel_rows("scalar", [of], measures=measures) == [
-        (single.status, single.ticks, {name: single.metrics[name] for name in measures})]
-    assert "def loop(" in text
+    for engine in ("c", "alike"):
+        assert kernel_rows(engine, [of], measures=measures) == [
+            (single.status, single.ticks, {name: single.metrics[name] for name in measures})]
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
 
 
 SCRIPT = """
@@ -316,28 +285,30 @@ class Mine:
     def force(self, s, at): return push(at.x), s
 
 plan = plan_sweep("virtual_wall", {"k": [1e3, 2e3]}, fixed={"law": Mine(), "energy": False, "duration": 0.1},
-                  metrics=["f_m_max"], engine="scalar")
+                  metrics=["f_m_max"], engine="c")
 print(carry_out(plan).counts(), dict(plan.ran))
 """
 SMALL = """
 from teleop.sweeps.runner import carry_out, plan_sweep
 plan = plan_sweep("virtual_wall", {"k": [1e3, 2e3]}, fixed={"energy": False, "duration": 0.1},
-                  metrics=["f_m_max"], engine="scalar")
+                  metrics=["f_m_max"], engine="c")
 print(carry_out(plan).counts(), dict(plan.ran))
 """
 
 
 def test_a_law_in_the_users_own_script_is_compiled_too(tmp_path: Path) -> None:
+    program(*COMPILERS)
     (tmp_path / "script.py").write_text(SCRIPT)
-    assert output(in_process(tmp_path, "script.py")) == "{'ok': 2} {('scalar', ''): 2}\n"
+    assert output(in_process(tmp_path, "script.py")) == "{'ok': 2} {('c', ''): 2}\n"
 
 
 def test_processes_that_make_the_same_kernel_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
+    program(*COMPILERS)
     (tmp_path / "script.py").write_text(SMALL)
     at_once = [in_process(tmp_path, "script.py") for _ in range(2)]
-    assert {output(each) for each in at_once} == {"{'ok': 2} {('scalar', ''): 2}\n"}
+    assert {output(each) for each in at_once} == {"{'ok': 2} {('c', ''): 2}\n"}
     left = sorted(path.name for path in (tmp_path / "cache/bilateral-teleop/kernels").iterdir())
-    assert sum(name.endswith(".py") for name in left) == 1
+    assert sum(name.endswith(".so") for name in left) == 1
     assert not any(name.endswith(".part") for name in left)
 
 
