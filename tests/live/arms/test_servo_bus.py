@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from math import pi
 from typing import Any
 
@@ -197,6 +198,21 @@ def test_a_joint_that_passes_the_seam_of_its_encoder_is_a_sentence_and_no_jump(o
     assert "went over the seam of its encoder, from 4090 to 3 of 4096" in trouble(bus)
     servos.set(1, 56, 2, 4095)
     until(lambda: not trouble(bus))
+
+
+def test_ticks_that_go_on_after_a_pause_find_a_position_at_once(opened: Callable[..., Any]) -> None:
+    """The check of a device leaves out 50 ticks, 0.25 s of a scene of 5 ms, and the first reading after that failed."""
+    servos = opened(Feetech((1, 2)))
+    bus = opened(feetech_bus(joints(), servos.port))
+
+    def pauses() -> bool:
+        with suppress(DeviceError):
+            bus.goal((0.0, 0.0))
+        until(lambda: bus._silent, "its goal was never let go of")
+        time.sleep(0.06)  # its newest position is old by then
+        return not trouble(bus)
+
+    until(pauses)
 
 
 def test_a_late_answer_is_not_taken_for_the_next_one(opened: Callable[..., Any]) -> None:

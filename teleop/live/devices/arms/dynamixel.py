@@ -150,8 +150,8 @@ class DynamixelChain(SdkChain):
     def check_flags(self, servo: int, flags: int, data: bytes) -> None:
         """Raise `ServoFault` for what a servo reports of itself, `DeviceError` for what it did not take."""
         if flags & ALERT:
-            found, result, _ = self._packets.readTxRx(self._handler, servo, *FAULTS)
-            faults = found[0] if result == self._sdk.COMM_SUCCESS and found else 0
+            answer, result, _ = self._packets.readTxRx(self._handler, servo, *FAULTS)
+            faults = answer[0] if result == self._sdk.COMM_SUCCESS and answer else 0
             words = [text for bit, text in FAULT_TEXT.items() if faults & bit] or ["it has an error of its hardware"]
             raise ServoFault(f"servo {servo} on {self.port} reports: {' and '.join(words)}; all torques are off until "
                              "it reports nothing (a restart of the servo clears it)")

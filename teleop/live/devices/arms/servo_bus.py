@@ -16,7 +16,7 @@ from enum import StrEnum
 from math import pi
 from pathlib import Path
 from statistics import median
-from time import monotonic_ns
+from time import monotonic_ns, sleep
 from typing import NamedTuple, Protocol
 
 from teleop.errors import DeviceError, number_of
@@ -31,6 +31,7 @@ MOST_TIMEOUT_MS = 80.0  # the thread must come round to what is to be let go of
 STALE_NS = 16_000_000  # beyond that a position is no longer where the joint is
 LAPSE_NS = 100_000_000  # a goal that was not renewed is let go of
 SILENT_NS = 500_000_000  # then the line is left to the watchdog process for so long
+WAKE_NS = 50_000_000  # that a reading waits after that
 RETRY_NS = 250_000_000  # between two attempts to open a port again
 WINDOW_NS = 20_000_000  # over which the velocity is taken
 LEAST_S = 0.0005  # between two exchanges: the tick gets the interpreter
@@ -99,7 +100,7 @@ class ServoBus:
         self._goal: Axes | None = None
         self._renewed = self._wanted = monotonic_ns()
         self._stale_ns = STALE_NS + round(1e6 * chain.timeout_ms)
-        self._limps = self._is_limp = self._faulty = False
+        self._limps = self._is_limp = self._faulty = self._silent = False
         self._why: str | None = None
         self._rested = 0  # ns, when a goal that was not renewed was let go of; 0: none was
         self._retry = 0
@@ -133,8 +134,15 @@ class ServoBus:
         return [*slow, *getattr(self._chain, "notes", [])]
 
     def read(self) -> Axes:
-        """Newest positions, rad. Raises `DeviceError` where there are none that are new."""
+        """Newest positions, rad. Raises `DeviceError` where there are none that are new.
+
+        Waits up to 50 ms for the first ones after a pause in which the line was left to the watchdog process.
+        """
         self._wanted = now = monotonic_ns()
+        until = now + WAKE_NS
+        while self._silent and now < until:
+            sleep(LEAST_S)
+            now = monotonic_ns()
         self._check(now)
         return self._newest[0].x
 
@@ -186,6 +194,7 @@ class ServoBus:
         while not self._done.wait(max(LEAST_S, (began + self._period_ns - monotonic_ns()) / 1e9)):
             began = monotonic_ns()
             if self._rested and began - self._rested < SILENT_NS and max(self._wanted, self._renewed) < self._rested:
+                self._silent = True
                 continue
             try:
                 self._exchange(began)
@@ -237,11 +246,12 @@ class ServoBus:
             self._samples.popleft()
         since = self._samples[0]
         span = max(sample.t - since.t, 1) / 1e9
+        self._silent = False
         self._newest = sample, tuple([(a - b) / span for a, b in zip(sample.x, since.x, strict=True)])
 
     def _lose(self, error: Exception, now: int) -> None:
         self._why = str(error) or type(error).__name__
-        self._is_limp = False
+        self._is_limp = self._silent = False
         if isinstance(error, OSError) and self._open:
             self._open, self._retry = False, now + RETRY_NS
             self._why = f"{self._chain.port} is lost ({error_text(error)})"
