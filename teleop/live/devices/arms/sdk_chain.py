@@ -25,6 +25,7 @@ with suppress(ImportError):  # of a system without terminals
     TerminalError = termios.error
 PIECE_S = 0.002  # that a read waits in the system; the SDKs themselves look again and again without a pause
 SAME_NS = 500_000_000  # between two calls of a watchdog that fired once
+TRIES = 3  # of a number of a table, before a run
 REPEATS = 3  # of what nobody answers
 
 
@@ -115,22 +116,28 @@ class SdkChain:
 
     def _answers(self, servo: int) -> bool:
         try:
-            self.read_register(servo, 0, 1)
+            self.read_register(servo, 0, 1, tries=1)
         except DeviceError:
             return False
         return True
 
-    def read_register(self, servo: int, address: int, length: int) -> int:
-        """Read one number of a servo's table."""
-        data, result, flags = self._calling(
-            servo, lambda: self._packets.readTxRx(self._handler, servo, address, length), clear=True)
+    def read_register(self, servo: int, address: int, length: int, tries: int = TRIES) -> int:
+        """Read one number of a servo's table; a lost answer is asked for again."""
+        for left in reversed(range(tries)):
+            data, result, flags = self._calling(
+                servo, lambda: self._packets.readTxRx(self._handler, servo, address, length), clear=True)
+            if result == self._sdk.COMM_SUCCESS or not left:
+                break
         return int.from_bytes(self._checked(servo, data, result, flags, self._had(result), length), "little")
 
     def write_register(self, servo: int, address: int, length: int, value: int) -> None:
-        """Write one number of a servo's table, and see that it was taken."""
+        """Write one number of a servo's table, and see that it was taken; where no answer comes, again."""
         data = list((value % (1 << 8 * length)).to_bytes(length, "little"))
-        result, flags = self._calling(
-            servo, lambda: self._packets.writeTxRx(self._handler, servo, address, length, data), clear=True)
+        for _ in range(TRIES):
+            result, flags = self._calling(
+                servo, lambda: self._packets.writeTxRx(self._handler, servo, address, length, data), clear=True)
+            if result == self._sdk.COMM_SUCCESS:
+                break
         self._checked(servo, b"", result, flags, 0, 0)
 
     def read_block(self, address: int, length: int) -> list[bytes]:

@@ -108,7 +108,7 @@ class ServoBus:
         self._last = monotonic_ns()  # of the last exchange
         try:
             chain.open()
-            first = Sample(monotonic_ns(), chain.read())
+            first = _first(chain)
         except BaseException:
             chain.close()
             raise
@@ -258,6 +258,14 @@ class ServoBus:
             with suppress(Exception):
                 self._chain.close()
         self._done.wait(0.005)
+
+
+def _first(chain: ServoChain) -> Sample:
+    """Read a chain for the first time; a lost answer is asked for again, twice."""
+    for _ in range(2):
+        with suppress(DeviceError):
+            return Sample(monotonic_ns(), chain.read())
+    return Sample(monotonic_ns(), chain.read())
 
 
 class TorqueArm:
