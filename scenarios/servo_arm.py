@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from channel import Delay
 from master import Grip, Reach
 from slave import Tissue, Wall
-from teleop import Cap, Knob, Law, PositionPosition, Scene, Servo, Watchdog, each_axis, knob
+from teleop import Cap, Knob, Law, PositionPosition, Scene, Servo, Watchdog, each_axis, knob, servos_of_file
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 # Of a law by the names of its numbers, in N m/rad and N m s/rad, for a joint of 0.04 kg m^2.
@@ -27,6 +27,7 @@ def scene(
     *,
     law: Law = PositionPosition(),
     delay: knob.LinkDelay = 0.05,
+    servo: Annotated[str, Knob("", "file of `teleop identify` with the follower's joints; none: as below")] = "",
     drive_m: Drive = "offset",
     drive_s: Drive = "offset",
     K: Annotated[PerJoint, Knob("N m/rad", "stiffness of a servo: the torque of its error", above=0.0)] = 17.8,
@@ -71,7 +72,9 @@ def scene(
         hand=Grip(mass=0.02, k=k_h, d=d_h, reference=reach),
         master=servos(drive_m),
         link=Delay(delay),
-        slave=servos(drive_s),
+        slave=servos(drive_s) if not servo else servos_of_file(
+            servo, axes, every=every, counts=counts, drive=drive_s, M=M, D=D, dead=dead,
+            stall=inf if stall is None else stall),
         environment=(None, None, Tissue(k=spring, d=0.05), None, None,
                      None if stop is None else Wall(k=2000.0, d=5.0, at=stop)),
         watchdog=None if timeout is None else Watchdog(timeout=timeout),

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from teleop.scene.parts import Environment, Hand, Reference, Vector
     from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled, Zero
     from teleop.scene.scene import Scene
+    from teleop.scene.servo_file import servos_of_file
     from teleop.simulation.notes import facts_of, fitted
     from teleop.simulation.result import Result
     from teleop.simulation.virtual import run
@@ -85,7 +86,7 @@ __all__ = [
     "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched", "WavePosition",
     "WavePrediction", "WaveScaled", "Zero", "__version__", "around", "check_device", "check_knobs", "check_law",
     "each_axis", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages", "number",
-    "run", "seed_energy", "sweep", "whole_number",
+    "run", "seed_energy", "servos_of_file", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.law": ("check_law",),
@@ -129,6 +130,7 @@ _HOMES = {  # the module of each name, under this package
     "scene.parts": ("Environment", "Hand", "Reference", "Vector"),
     "scene.playout": ("Energy", "Fixed", "Hold", "Integral", "Playout", "Scaled", "Zero"),
     "scene.scene": ("Scene",),
+    "scene.servo_file": ("servos_of_file",),
     "live.records.merge": ("load_result",),
     "simulation.notes": ("facts_of", "fitted"),
     "simulation.result": ("Result",),

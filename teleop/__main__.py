@@ -36,6 +36,7 @@ HOME = {
     "emit": "teleop.emit.command:command",
     "show": "teleop.terminal.run:show_command",
     "check": "teleop.live.devices.command:command",
+    "identify": "teleop.live.devices.identify:command",
     "doctor": "teleop.doctor.command:command",
     "completion": "teleop.completion:command",
     "keygen": "teleop.live.options:keygen",

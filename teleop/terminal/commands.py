@@ -320,6 +320,19 @@ def _check(added: ArgumentParser) -> None:
     _json(added)
 
 
+def _identify(added: ArgumentParser) -> None:
+    added.add_argument("what", metavar="device|robot", choices=("device", "robot"),
+                       help="what stands at the master's end, or at the slave's")
+    added.add_argument("name", metavar="NAME", help="its name and address, as feetech:/dev/ttyACM0?ids=1-6")
+    scene_options(added, default="servo_arm", seed=False)
+    added.add_argument("--reach", metavar="RAD", type=float, required=True, help="how far each joint may move from "
+                       "where it is, either way, at most 0.5")
+    added.add_argument("--inertia", metavar="J", required=True, help="moment of inertia that each joint moves, kg m^2, "
+                       "one number or one for each: fasten something known to it")
+    added.add_argument("--out", metavar="FILE", required=True, help="the file to write")
+    _json(added)
+
+
 def _show(added: ArgumentParser) -> None:
     added.add_argument("what", metavar="tick", choices=("tick",), help="what the scene's loop does, line by line")
     scene_options(added, seed=False)
@@ -440,6 +453,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
              "check against 500 ticks of Python, and how to call it.", _emit),
     "check": ("Check a device or a robot: its readings, their times, the sign of its force, and how it lets go.",
               _check),
+    "identify": ("Measure stiffness, damping, friction and lateness of the position servos of an arm, by small motions "
+                 "of each joint in turn: see that nobody and nothing is in its way.", _identify),
     "doctor": ("Show what is installed and kept, and measure what this machine gives a live end, in about three "
                "seconds, each with what to type where it is poor.", _doctor),
     "keygen": ("Make a key and its certificate, and print the fingerprint that the other end has to be told.", _keygen),
