@@ -132,12 +132,13 @@ class TestTables:
                 bare = replace(bare, axes=6, units=("m", "m", "m", "rad", "rad", "rad"))
             named = replace(bare, **eval(f"dict({place.field})", {name: getattr(teleop, name) for name in PARTS}))
             ends = {"both": "ms", "master": "m", "slave": "s"}[place.ends]
+            ends = "m" if "device_m" in place.field else "s" if place.field.startswith("slave=") else ends
             assert with_stage(bare, place) == "", place
-            assert with_stage(named, place) == ("m" if "device_m" in place.field else ends), place
+            assert with_stage(named, place) == ends, place
 
 
 PARTS = ("Cap", "Deadband", "Device", "Encoder", "Energy", "Integral", "LowPass", "Operator", "PassivityController",
-         "Scaled", "Scaling", "Watchdog")
+         "Scaled", "Scaling", "Servo", "Watchdog")
 
 
 def with_stage(scene: Scene, place: Place) -> str:
