@@ -75,6 +75,7 @@ SOURCES = (*[f"teleop.emit.{name}" for name in ("calls", "expressions", "primiti
            __name__)  # what a kernel is made with
 TREE = ("numbers", "law", "dt", "x_limit", "start_m", "start_s", "held")  # what `tree_of` gives
 MOST_NUMBERS = 2000  # of a row
+OPTIMISED = 3  # axes beyond which -O3 compiles up to 16 times as long as -O2, and gains nothing
 
 TEXT = """\
 /* Generated: the kernel of one structure of scene. Delete it whenever you like. */
@@ -345,14 +346,15 @@ ONE_ROW = Target(("-O2",), "")  # what any machine of a kind runs
 
 
 @lru_cache
-def target_of(compiler: str) -> Target:
+def target_of(compiler: str, axes: int = 1) -> Target:
     """This machine, or what the compiler makes code for where it cannot look."""
+    level = "-O3" if axes <= OPTIMISED else "-O2"
     for flags in (("-march=native",), ()):
         done = subprocess.run([compiler, *flags, "-dM", "-E", "-x", "c", os.devnull], capture_output=True, text=True,
                               check=False)
         if done.returncode == 0:
             break
-    return Target(("-O3", "-fno-math-errno", *flags), done.stdout)
+    return Target((level, "-fno-math-errno", *flags), done.stdout)
 
 
 def lines_of(scene: Scene, measures: Sequence[str], form: Form) -> Lines:
@@ -391,7 +393,7 @@ def loaded_kernel(scene: Scene, bodies: Bodies, measures: Sequence[str], form: F
     compiler = find_compiler()
     if compiler is None:
         raise NotCompiled("there is no C compiler")
-    target = target_of(compiler) if form.lanes > 1 else ONE_ROW
+    target = target_of(compiler, scene.axes) if form.lanes > 1 else ONE_ROW
     compiled = _loaded(library_name(scene, bodies, measures, form, compiler, target),
                        [compiler, *FLAGS, *target.flags], lambda: kernel_text(scene, bodies, measures, form))
 

@@ -25,7 +25,7 @@ from teleop.sweeps.kernels import c_kernel
 from teleop.sweeps.kernels.c_kernel import Form, kernel_text
 from teleop.sweeps.kernels.kernel import kernel_lines
 from teleop.sweeps.runner import plan_sweep
-from tests.engines.engines import kernel_rows
+from tests.engines.engines import assert_as_plain, kernel_rows
 from tests.programs import COMPILERS, program
 
 
@@ -319,3 +319,13 @@ def test_a_recorded_hand_that_was_recorded_anew_moves_anew(tmp_path: Path) -> No
         rows = [(0, {"motion": str(tmp_path / "hand.csv"), "duration": 0.5}, 0)]
         told.append(work(Job("recorded_reach", {}, rows, ("x_err_max",), "plain")).rows[0])
     assert told[0]["x_err_max"] != told[1]["x_err_max"]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("lanes", [2, 8])
+def test_a_register_of_another_size_holds_the_same_bits(lanes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    program(*COMPILERS)
+    monkeypatch.setattr(c_kernel.Target, "lanes", lanes)
+    for name in ("ticks left out", "a one-port"):
+        for engine in ("alike", "apart"):
+            assert_as_plain(name, engine)
