@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from math import inf, sin, tau
 from typing import Any
@@ -16,6 +17,7 @@ from master import Grip, Reach
 from slave import HuntCrossley, Tissue, Wall
 from teleop import MassDamper, PositionPosition, Refused, Scene, Servo, Wave, load_scene, run
 from teleop.analysis.models.linear import linear_scene
+from teleop.law import find_law, two_port_laws
 from teleop.physics.servo import (
     LEAST,
     beyond,
@@ -292,3 +294,36 @@ class MovingWall:
 
     def plant(self, body: MassDamper, dt: float) -> object:
         raise AssertionError
+
+
+GAINS = {"K": 10.0, "B": 0.4, "b": 0.5, "K_d": 0.4, "K_p": 10.0, "B_p": 0.4, "B_m": 0.2, "B_s": 0.4}
+
+
+def judged(name: str, delay: float, environment: Any, drive: str) -> tuple[str, float, float]:
+    """Status of a law on a servo or (drive "") on a motor with torque; rms error of the motion; felt over touched."""
+    law = find_law(name)()
+    law = replace(law, **{key: value for key, value in GAINS.items() if hasattr(law, key)})
+    motor = MassDamper(mass=0.038, damping=0.6, friction=0.15) if not drive else None
+    result = run(replace(joint(drive or "offset", law=law, environment=environment, slave=motor), link=Delay(delay),
+                         duration=12.0))
+    trace = result.trace
+    error = np.sqrt(np.mean((trace["shaft_s" if drive else "x_s"] - trace["x_m"]) ** 2))
+    touched = np.mean(trace["touch_s" if drive else "f_env"][-400:])
+    return result.status, float(error), float(np.mean(trace["f_m"][-400:]) / touched) if touched > 0.2 else np.nan
+
+
+@pytest.mark.full
+def test_every_law_runs_on_a_servo_as_it_does_on_a_motor_with_torque() -> None:
+    """Seventeen laws, three delays, nothing, a spring and a hard stop: 153 runs of each drive."""
+    cases = [(name, delay, environment) for name in two_port_laws() for delay in (0.02, 0.05, 0.1)
+             for environment in (None, SPRING, STOP)]
+    found = {drive: {case: judged(*case, drive) for case in cases} for drive in ("", "offset", "mass")}
+    worse = [case for case in cases if found["offset"][case][0] != "ok" == found[""][case][0]]
+    assert len(worse) <= 4, worse
+    ratios = [found["offset"][case][1] / found[""][case][1] for case in cases
+              if case[2] is None and found[""][case][0] == "ok"]
+    assert np.median(ratios) < 1.25
+    assert {status for status, *_ in found["mass"].values()} <= {"ok", "limit cycle"}
+    felt = [share for status, _, share in found["mass"].values() if status == "ok" and np.isfinite(share)]
+    assert 0.91 < np.median(felt) < 0.99
+    print(len(worse), worse, np.median(ratios), max(ratios), np.median(felt), len(felt))
