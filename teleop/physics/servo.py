@@ -142,13 +142,19 @@ class Servo:
         to_servo, from_servo = (ceil(delay / dt - 1e-9) for delay in self.bus)
         return to_servo, from_servo
 
-    def lateness(self, dt: float) -> float:
-        """The most that the loop over the bus is late, s: both delays, rounded up to ticks, and both holds."""
-        return (sum(self.ticks(dt)) + 2 * self.every) * dt
+    def lateness(self, dt: float, period: float = 0.0) -> float:
+        """The most that the loop over the bus is late, s: both delays, rounded up to ticks, and both holds.
 
-    def check(self, dt: float) -> None:
-        """Refuse a servo whose drive could make energy, with the numbers that would do, for ticks of dt seconds."""
-        d, most = self.lateness(dt), max(self.ticks(dt))
+        `period`: from one exchange with the bus to the next, s, where that is longer than `every` ticks.
+        """
+        return sum(self.ticks(dt)) * dt + 2.0 * max(self.every * dt, period)
+
+    def check(self, dt: float, period: float = 0.0) -> None:
+        """Refuse a servo whose drive could make energy, with the numbers that would do, for ticks of dt seconds.
+
+        `period`: as in `lateness`.
+        """
+        d, most = self.lateness(dt, period), max(self.ticks(dt))
         if most > MOST_LATE:
             raise Refused(f"a bus of a position servo is at most {MOST_LATE} ticks late each way, not {most}; "
                           "take a longer dt, or a faster bus")

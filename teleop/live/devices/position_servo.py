@@ -16,6 +16,7 @@ from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
 
 BODIES = {"m": "master", "s": "slave"}
+LOOK_S = 0.5  # between two looks at how many exchanges the bus carries
 LOST_S = 0.1  # without a tick for so long: a drive begins anew where the joints are
 
 
@@ -55,7 +56,8 @@ class PositionServo:
             each.check(dt)
         self._servos = servos
         self._drives = [each.drive_numbers(dt) for each in servos]
-        self._k = 0
+        self._k = self._next_look = 0
+        self._slow = ""
         self._held: Axes = (0.0,) * len(x)
         self._begin(x)
 
@@ -70,10 +72,24 @@ class PositionServo:
         self._states: list[Any] | None = [each.drive_start(self._dt, place)
                                           for each, place in zip(self._servos, x, strict=True)]
 
+    def _check_rate(self, k: int) -> None:
+        """Raise `DeviceError` while the bus carries so few exchanges that a drive could make energy."""
+        if k >= self._next_look:
+            rate = getattr(self.bus, "rate", 0.0)  # 0.0: it does not know yet
+            self._next_look, self._slow = k + round(LOOK_S / self._dt), ""
+            try:
+                for each in self._servos if rate > 0.0 else ():
+                    each.check(self._dt, 1.0 / rate)
+            except Refused as error:
+                self._slow = f"the bus carries {rate:.0f} exchanges a second: {error}"
+        if self._slow:
+            raise DeviceError(self._slow)
+
     def read(self, k: int) -> Reading:
         """Move the drives on to tick k by the newest positions. Raises `DeviceError` where the bus has none."""
         try:
             newest = self.bus.read()
+            self._check_rate(k)
         except DeviceError:
             self._states = None
             raise

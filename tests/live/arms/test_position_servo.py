@@ -112,6 +112,19 @@ def test_after_a_lost_bus_a_drive_begins_where_the_joints_are(drive: str) -> Non
     assert arm.read(80).v == (0.0,) * 6  # after 0.1 s without a tick too
 
 
+def test_a_bus_that_carries_too_few_exchanges_is_driven_no_more_until_it_does() -> None:
+    bus, arm = joint()
+    bus.rate = 200.0  # type: ignore[attr-defined]
+    arm.read(0)
+    bus.rate = 9.0  # type: ignore[attr-defined]  # 0.217 K d is 0.86 N m s/rad then, above 0.6
+    with pytest.raises(DeviceError, match=r"carries 9 exchanges a second: .* late makes energy at its shaft"):
+        arm.read(100)
+    with pytest.raises(DeviceError):
+        arm.read(101)
+    bus.rate = 200.0  # type: ignore[attr-defined]
+    assert arm.read(201).x == bus.newest
+
+
 def test_the_force_of_an_offset_drive_that_is_let_go_of_is_zero_at_once() -> None:
     bus, arm = joint()
     for k in range(40):
