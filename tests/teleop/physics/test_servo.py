@@ -179,8 +179,9 @@ def test_the_masss_damping_pays_for_all_that_a_late_servo_can_give() -> None:
 
 
 @pytest.mark.full
-def test_the_masss_damping_pays_over_ten_thousand_motions() -> None:
-    assert min(worst_of(seed, periods=2) for seed in range(10_000)) > -1e-6
+@pytest.mark.parametrize("thousand", range(10))
+def test_the_masss_damping_pays_over_ten_thousand_motions(thousand: int) -> None:
+    assert min(worst_of(1000 * thousand + seed, periods=2) for seed in range(1000)) > -1e-6
 
 
 def test_with_half_of_that_damping_a_late_servo_gives_energy() -> None:
@@ -326,4 +327,3 @@ def test_every_law_runs_on_a_servo_as_it_does_on_a_motor_with_torque() -> None:
     assert {status for status, *_ in found["mass"].values()} <= {"ok", "limit cycle"}
     felt = [share for status, _, share in found["mass"].values() if status == "ok" and np.isfinite(share)]
     assert 0.91 < np.median(felt) < 0.99
-    print(len(worse), worse, np.median(ratios), max(ratios), np.median(felt), len(felt))
