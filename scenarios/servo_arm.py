@@ -3,7 +3,8 @@
 The servos are of the class of an SO-101 arm's: 17.8 N m/rad and 2.94 N m at the shaft, friction, half a degree of
 backlash and 4096 counts a turn. Published models of one such servo differ 56-fold in K: measure yours (`teleop identify
 robot`) before a hand holds it. `teleop/physics/servo.py` has the two drives and the conditions by which a scene is
-refused."""
+refused.
+"""
 
 from __future__ import annotations
 

@@ -23,23 +23,27 @@ passive in any passive environment for every M > 0 if
 
     D >= (K d)^2/(4 damping),      d = there + back + 2 every dt,
 
-whatever the two delays and holds do below these bounds, saturated or not. Proof. Let a be the reading in use at the
-time t, of the time r(t), and phi the clipped spring with Phi' = phi. Over each reading the work of phi on the mass is a
-difference of Phi. Added up, with what Phi changes by at each new reading, `sum phi v dt = Phi(end) - Phi(0) + int
-phi(x(T) - s) s' dt`, where s is the shaft's position at t, and x(T) the mass's when the first reading from t on is
-used. The servo itself has the mass's position x(T') of the command in force at t, T - T' <= d. So `phi(x(T) - s) s' >=
-phi(x(T') - s) s' - K w |s'|` with w the way of the mass from T' to T, and `K w |s'| <= damping s'^2 + K^2 w^2/(4
-damping)`. The first term is what the servo's damping takes up; `int w^2 dt <= d^2 int v^2 dt`, since each instant lies
-in such spans for a time of at most d. What is left of phi(x(T') - s) s' is kinetic energy, friction and the work on the
-environment. A dead zone changes the force by at most `dead`, which the friction pays for. Encoder counts and backlash
-are outside the proof. The mass is stepped by backward Euler, under which its energy never rises by more than the work
-of f.
+whatever the two delays and holds do below these bounds, saturated or not.
+
+Proof. Let s be the shaft's position, x that of the mass, phi the clipped spring and Phi its integral. While one reading
+is in use, the work of phi on the mass is what Phi gains. Add these up, and what Phi changes by at each new reading:
+
+    int phi(x - s_read) v dt = Phi(end) - Phi(0) + int phi(x(T) - s) s' dt,
+
+where T is the time at which the first reading from t on is used. At t the servo itself has the goal x(T'), and T - T'
+<= d. With w the way of the mass from T' to T, `phi(x(T) - s) s' >= phi(x(T') - s) s' - K |w s'|`, and `K |w s'|` is at
+most `damping s'^2 + K^2 w^2/(4 damping)`. The first of these two is what the servo's damping takes up. The second is
+paid for by D, since `int w^2 dt <= d^2 int v^2 dt`: each instant lies between T' and T for a time of at most d. What is
+left, phi(x(T') - s) s', is kinetic energy, friction and the work on the environment. A dead zone changes the force by
+at most `dead`, which the friction pays for. Encoder counts and backlash are outside the proof. The mass is stepped by
+backward Euler, under which its energy never rises by more than the work of f.
 
 Refused by construction: a mass whose law reads x_read, and an error taken against a command as old as the reading.
 
 The shaft is stepped in parts of at most 0.1 ms, in which friction, gear and contact make no energy, and springs take
 none while they stay closed; the servo's own loop goes by the encoder at the start of each part. Signs:
-teleop/DESIGN.md. Units are those of an axis that turns: rad, N m."""
+teleop/DESIGN.md. Units are those of an axis that turns: rad, N m.
+"""
 
 from __future__ import annotations
 
@@ -71,11 +75,13 @@ class Servo:
     at the shaft and `link` that of what the shaft carries. `friction` and `stall` in N m, `backlash` in rad from stop
     to stop (`gear` and `bearing` count where there is any), `counts` of the encoder per turn; 0, 0 and inf leave each
     out. `bus`: seconds that a goal and a reading take; rounded up to ticks. `every`: ticks from one exchange with the
-    bus to the next. `drive`: "offset" or "mass"; `M` (kg m^2), `D` (N m s/rad) and `dead` (N m) are those of a mass.
-    Raises `Refused` for numbers out of range; a scene refuses one whose condition fails (`check`).
+    bus to the next. `drive`: "offset" or "mass"; `M` (kg m^2) and `D` (N m s/rad) are those of a mass; `dead` (N m) is
+    left out of the torque that the error shows. Raises `Refused` for numbers out of range; a scene refuses one whose
+    condition fails (`check`).
 
-    It has no force sensor: f_h and f_env are what its own error shows, less `dead`. A run in virtual time records the
-    true position of its shaft as `shaft`, and the true torque on it as `touch`."""
+    It has no force sensor: f_h and f_env are what its own error shows. A run in virtual time records the
+    true position of its shaft as `shaft`, and the true torque on it as `touch`.
+    """
 
     K: float
     damping: float

@@ -9,7 +9,8 @@ by least squares over K/J, damping/J, friction/J and the lateness d of goal and 
 torque: J, typed, makes numbers of the ratios, so the joint carries something of a known moment of inertia. An encoder
 at the shaft does not see backlash behind it: half a degree made K 12 % too great and friction 11 %. The uncertainty is
 two standard deviations of the fit, with its errors taken to be as alike from one to the next as they are, and what one
-count of the encoder makes of each number."""
+count of the encoder makes of each number.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 The arithmetic is `goal_of` and `follow` of `teleop.physics.servo`, the lines by which a run in virtual time moves the
 same scene. A bus has `read()` (positions in rad, the newest), `goal(positions)` and `close()`, which return at once and
-raise `DeviceError`; `teleop/live/devices/arms` has some."""
+raise `DeviceError`; `teleop/live/devices/arms` has some.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ class PositionServo:
 
     `servos`: one for all joints or one for each; `dt`: of the scene, s. `push`: 1.0 at the slave, -1.0 at the master,
     whose torques act against the hand. Servos have no watchdog of their line, so the bus has one, or `unwatched` says
-    that the arm presses on when its end is killed. Raises `Refused`, also for a servo whose condition fails."""
+    that the arm presses on when its end is killed. Raises `Refused`, also for a servo whose condition fails.
+    """
 
     def __init__(self, bus: PositionBus, servos: Servo | Sequence[Servo], dt: float, *, push: float = 1.0,
                  watchdog: DeviceWatchdog | None = None, unwatched: bool = False) -> None:

@@ -143,7 +143,8 @@ def worst_of(seed: int, *, share: float = 1.0, periods: int = 8) -> float:
 
     The mass is moved by force: with a sine, and a second one beside it. Goals and readings are as old as `lags` has it,
     d in all. In half of the cases the inertia is the worst one of a steady motion, J w^2 = K + k + 2 damping/d, at
-    which the bound is reached where w d is small."""
+    which the bound is reached where w d is small.
+    """
     dice = random.Random(seed)
     h, most = 1e-4, dice.randrange(20, 100)  # s, and parts
     d = (2 * most + 2) * h
