@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
+
+from teleop import DeviceError
 
 PATIENCE = 150.0  # s after which a process or a condition that is waited for counts as missing
 
@@ -15,3 +18,12 @@ def until(true: Callable[[], Any], missing: str = "it never came") -> None:
     while not true():
         assert time.monotonic() < end, missing
         time.sleep(0.02)
+
+
+def answered(make: Callable[[], Any], attempts: int = 10) -> Any:
+    """Return what `make` opens, whose stand-in may be late with its first answers on a busy machine."""
+    for _ in range(attempts - 1):
+        with suppress(DeviceError):
+            return make()
+        time.sleep(0.1)
+    return make()

@@ -17,6 +17,7 @@ from __future__ import annotations
 import time
 from argparse import Namespace
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from math import exp, log, pi, sin
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,6 +42,7 @@ GUESSES = tuple((k, 2.0 * zeta * k**0.5) for k in (100.0, 600.0, 4000.0) for zet
 MOST_D = 0.1  # s
 LEFT = 0.1  # of the motion's rms, above which the fit tells nothing
 MOST_TURNS = 30
+MOST_RECORDS, PAUSE_S = 3, 0.3
 
 
 class JointRecord(NamedTuple):
@@ -75,6 +77,15 @@ def record(bus: PositionBus, joint: int, reach: float, clock: Callable[[], float
         bus.goal(tuple([goal if k == joint else x for k, x in enumerate(start)]))
         rows.append((clock() - began, goal, bus.read()[joint]))
     return JointRecord(*np.array(rows).T)
+
+
+def whole_record(bus: PositionBus, joint: int, reach: float) -> JointRecord:
+    """Record a joint without a gap, a few times where answers are lost. Raises `DeviceError` the last time."""
+    for _ in range(MOST_RECORDS - 1):
+        with suppress(DeviceError):
+            return record(bus, joint, reach)
+        time.sleep(PAUSE_S)
+    return record(bus, joint, reach)
 
 
 def response(motion: JointRecord, ratios: Sequence[float]) -> Reals:
@@ -176,7 +187,7 @@ def command(args: Namespace) -> Answer:
         joints = []
         for i, inertia in enumerate(inertias):
             try:
-                joints.append(fit_servo(record(device.bus, i, reach), inertia))
+                joints.append(fit_servo(whole_record(device.bus, i, reach), inertia))
             except Refused as error:
                 raise Refused(f"{scene.axis_names[i]}: {error}") from None
             except DeviceError as error:

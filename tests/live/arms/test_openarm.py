@@ -184,7 +184,7 @@ def test_the_check_pushes_it_along_each_joint(motors: tuple[Damiao, str]) -> Non
 
     def checked() -> bool:
         """True as soon as the motors' thread was never late on a busy machine."""
-        with suppress(DeviceFault):
+        with suppress(DeviceFault, Refused):
             found.append(check_device(f"openarm:{motors[1]}", joints(), push=True, force=0.1, ticks=200))
         return bool(found)
 
