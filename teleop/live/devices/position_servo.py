@@ -58,7 +58,8 @@ class PositionServo:
             each.check(dt)
         self._servos = servos
         self._drives = [each.drive_numbers(dt) for each in servos]
-        self._k = self._next_look = 0
+        self._k = 0
+        self._next_look: int | None = None
         self._slow = ""
         self._held: Axes = (0.0,) * len(x)
         self._begin(x)
@@ -76,7 +77,9 @@ class PositionServo:
 
     def _check_rate(self, k: int) -> None:
         """Raise `DeviceError` while the bus carries so few exchanges that a drive could make energy."""
-        if k >= self._next_look:
+        if self._next_look is None:  # the first exchanges are slow, and tell nothing
+            self._next_look = k + round(LOOK_S / self._dt)
+        elif k >= self._next_look:
             rate = getattr(self.bus, "rate", 0.0)  # 0.0: it does not know yet
             self._next_look, self._slow = k + round(LOOK_S / self._dt), ""
             try:
