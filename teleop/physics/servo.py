@@ -197,15 +197,18 @@ class Servo:
     def drive_numbers(self, dt: float) -> Tuple:
         """The numbers of `goal_of`, `follow` and `felt_torque`, for ticks of dt seconds."""
         parts = ceil(dt / SHORT_MASS - 1e-9)
-        past = max(1, round(SPEED / (self.every * dt)))
         return (1.0 if self.drive == "mass" else 0.0, self.K, self.stall, self.M, self.D, self.dead, self.every,
-                past * self.every * dt, dt / parts, parts,
+                self._readings(dt) * self.every * dt, dt / parts, parts,
                 self.damping + self.K * (self.lateness(dt) - self.every * dt))
 
     def drive_start(self, dt: float, reading: float) -> Tuple:
         """The state of `follow` at rest: the reading, ticks since the bus, the earlier readings of an offset drive."""
-        past = max(1, round(SPEED / (self.every * dt))) if self.drive == "offset" else 1  # none is no type of its own
-        return reading, 0, (reading,) * past
+        count = self._readings(dt) if self.drive == "offset" else 1  # none would be another type for the compilers
+        return reading, 0, (reading,) * count
+
+    def _readings(self, dt: float) -> int:
+        """Count the readings over which an offset drive takes its speed."""
+        return max(1, round(SPEED / (self.every * dt)))
 
     def start(self, dt: float, at: float = 0.0) -> Tuple:
         """The inner state at rest at `at` (rad)."""
@@ -230,6 +233,11 @@ def beyond(f: float, dead: float) -> float:
 def goal_of(c: Tuple, x: float, f: float, reading: float) -> float:
     """The goal that is sent at an exchange with the bus; c is `Servo.drive_numbers`, x that of the mass."""
     return x if c[0] > 0.5 else reading + clip(f, c[2]) / c[1]
+
+
+def is_due(c: Tuple, f: float, state: Tuple) -> bool:
+    """True if a goal is sent at this tick: at an exchange, and at once where an offset drive is to hold no torque."""
+    return bool(c[6] == 1 or state[1] == 0 or (f == 0.0 and c[0] <= 0.5))
 
 
 def felt_torque(c: Tuple, x: float, v: float, goal: float, reading: float) -> float:
@@ -307,7 +315,7 @@ def exchange(c: Tuple, x: float, v: float, f: float, z: Tuple, at: float, rate: 
     """Move bus, shaft and drive over one tick, in which what is touched moves from `at` with the speed `rate`."""
     shaft, touch, drive, _ = c
     state, follower, goal, goals, readings = z
-    if drive[6] == 1 or follower[1] == 0:
+    if is_due(drive, f, follower):
         goal = goal_of(drive, x, f, follower[0])
     sent = goals + (goal,)  # noqa: RUF005 - compiled code knows no star
     state = turn(shaft, touch, state, sent[0], at, rate)
@@ -395,7 +403,8 @@ def servo_force(c: Tuple, x: float, v: float, z: Tuple) -> float:
     return felt_torque(c[2], x, v, z[2], z[1][0])
 
 
-def held_force(c: Tuple, x: float, v: float, f_held: float, r: float, slope: float, z: Tuple) -> float:  # noqa: ARG001
+def held_force(c: Tuple, x: float, v: float, f_held: float, r: float, slope: float,  # noqa: ARG001 - every force's
+               z: Tuple) -> float:
     """The hand's torque on the servo, told in the same way."""
     return -felt_torque(c[2], x, v, z[2], z[1][0])
 

@@ -20,7 +20,7 @@ class Asked(NamedTuple):
     scene: Any
     e: str  # m or s
     device: Any  # None: it has none
-    body: Any
+    body: Any  # of its first axis
     reads: frozenset[str]  # the fields of `At` that its law reads
     tx: Any  # types of the messages that it sends and receives, and of its law's state; None without a slave
     rx: Any

@@ -34,7 +34,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, exact_bodies, reference_samples
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.integrators.nonlinear import goes
-from teleop.simulation.integrators.parts import has_closed_form, is_carried, slave_of, whole_plants
+from teleop.simulation.integrators.parts import check_no_servo, has_closed_form, is_carried, slave_of, whole_plants
 from teleop.simulation.integrators.stepped import method_bodies
 from teleop.simulation.metrics import tracking
 from teleop.simulation.result import Result
@@ -104,6 +104,7 @@ class Precision:
 def contenders(scene: Scene) -> Iterator[Contender]:
     """List the contenders, the cheaper first. Raises `Refused` without a slave or its environment's equation."""
     slave_of(scene)
+    check_no_servo(scene)
     exact = has_closed_form(scene)
     name, label = ("exact", "exact") if exact else ("default", f"default: SDIRK2 to {scene.tolerance:.0e} m a tick")
     yield Contender(method=name, label=label, bodies=exact_bodies(scene))

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from teleop.errors import DeviceError, Refused, number_of
 from teleop.live.devices.device_watchdog import DeviceWatchdog
-from teleop.physics.servo import Servo, felt_torque, follow, goal_of
+from teleop.physics.servo import Servo, felt_torque, follow, goal_of, is_due
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.scene.scene import Scene
 
@@ -114,10 +114,14 @@ class PositionServo:
     def hold(self, force: Axes) -> None:
         """Hold these torques, N m: a goal at each exchange with the bus. Raises `DeviceError` where it is lost."""
         self._held = force
-        if self._states is not None and (self._servos[0].every == 1 or self._states[0][1] == 0):
-            self._goals = tuple([goal_of(c, x, self._push * f, state[0]) for c, x, f, state in zip(
-                self._drives, self._x, force, self._states, strict=True)])
-            self.bus.goal(self._goals)
+        if self._states is None:
+            return
+        goals = tuple([goal_of(c, x, self._push * f, state[0]) if is_due(c, f, state) else goal
+                       for c, x, f, state, goal in zip(
+                           self._drives, self._x, force, self._states, self._goals, strict=True)])
+        if self._servos[0].every == 1 or self._states[0][1] == 0 or goals != self._goals:
+            self._goals = goals
+            self.bus.goal(goals)
 
     def close(self) -> None:
         """Let the joints go."""

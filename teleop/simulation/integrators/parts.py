@@ -26,11 +26,15 @@ def slave_of(scene: Scene) -> MassDamper:
 
 
 def has_closed_form(scene: Scene) -> bool:
-    """True if every body has a closed form, so that the run is exact. Refuses position servos."""
+    """True if every body has a closed form, so that the run is exact."""
+    return scene.master.friction == 0.0 and not any(core_of(still) for still, _ in stills(scene))
+
+
+def check_no_servo(scene: Scene) -> None:
+    """Refuse position servos, which no method of integration knows."""
     if any(hasattr(body, "lateness") for body in (*scene.per_axis("master"), *scene.per_axis("slave"))):
         raise Refused("a position servo is moved by its own steps alone, which no other method is compared with; leave "
                       "bodies out, or take a scene without one, for example hard_wall")
-    return scene.master.friction == 0.0 and not any(core_of(still) for still, _ in stills(scene))
 
 
 def stills(scene: Scene) -> list[tuple[Plant, Any]]:

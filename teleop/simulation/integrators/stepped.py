@@ -84,8 +84,9 @@ def method_bodies(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
 
 def _moved_by(scene: Scene, method: IntegrationMethod, n: int) -> Bodies:
     dt = scene.dt_ns / 1e9
+    parts.check_no_servo(scene)
     exact = exact_bodies(scene)
-    if not (parts.has_closed_form(scene) or goes(method)):
+    if not (goes(method) or parts.has_closed_form(scene)):
         raise Refused(f"{method.label} is not known on bodies that are not piecewise linear; take for example sdirk2")
 
     def moved(still: Plant, environment: Any) -> Plant:

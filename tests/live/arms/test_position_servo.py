@@ -28,7 +28,7 @@ class SteppedBus:
     def __init__(self, scene: Scene) -> None:
         dt = scene.dt_ns / 1e9
         self.servos: tuple[Servo, ...] = scene.per_axis("slave")
-        self.plants = [servo.slave_plant(dt, None if one is None else one.resistance())  # type: ignore[union-attr]
+        self.plants = [servo.slave_plant(dt, None if one is None else one.resistance())  # type: ignore[union-attr]  # each of them has one
                        for servo, one in zip(self.servos, scene.environments, strict=True)]
         starts = [servo.start(dt, at) for servo, at in zip(
             self.servos, scene.vector("start_s", scene.start_s), strict=True)]
@@ -36,7 +36,7 @@ class SteppedBus:
         self.goals = tuple([start[2] for start in starts])
         self.sent, self.taken = [list(start[3]) for start in starts], [list(start[4]) for start in starts]
         self.newest = tuple([start[1][0] for start in starts])
-        self.lost = False
+        self.lost, self.rate = False, 0.0
         self.closed = 0
 
     def tick(self) -> None:
@@ -115,14 +115,14 @@ def test_after_a_lost_bus_a_drive_begins_where_the_joints_are(drive: str) -> Non
 
 def test_a_bus_that_carries_too_few_exchanges_is_driven_no_more_until_it_does() -> None:
     bus, arm = joint()
-    bus.rate = 200.0  # type: ignore[attr-defined]
+    bus.rate = 200.0
     arm.read(0)
-    bus.rate = 9.0  # type: ignore[attr-defined]  # 0.217 K d is 0.86 N m s/rad then, above 0.6
+    bus.rate = 9.0  # 0.217 K d is 0.86 N m s/rad then, above 0.6
     with pytest.raises(DeviceError, match=r"carries 9 exchanges a second: .* late makes energy at its shaft"):
         arm.read(100)
     with pytest.raises(DeviceError):
         arm.read(101)
-    bus.rate = 200.0  # type: ignore[attr-defined]
+    bus.rate = 200.0
     assert arm.read(201).x == bus.newest
 
 
@@ -134,6 +134,16 @@ def test_the_force_of_an_offset_drive_that_is_let_go_of_is_zero_at_once() -> Non
     arm.read(40)
     arm.hold((0.0,) * 6)
     assert bus.goals == bus.newest
+
+
+def test_a_zero_between_two_exchanges_waited_for_the_next_and_left_a_killed_arm_pressing() -> None:
+    arm = SteppedArm(load_scene("servo_arm", dt=1e-3, every=5, bus=0.0))
+    for k in range(38):
+        arm.read(k)
+        arm.hold((1.0,) * 6)
+    assert arm.stepped.goals[0] > arm.stepped.newest[0]
+    arm.hold((0.0,) * 6)  # 3 ticks after an exchange
+    assert arm.stepped.goals == tuple([state[0] for state in arm._states or ()])
 
 
 def test_a_bus_without_a_watchdog_and_wrong_servos_are_refused() -> None:
