@@ -155,7 +155,7 @@ def with_watchdog(device: LiveDevice, folder: Path, priority: int | None = None,
         yield device
         return
     deadlines = [one for one in (getattr(device, "deadline", None), watchdog.deadline) if one is not None]
-    with _file() as file, mmap(file.fileno(), SIZE) as page:
+    with memory_page("device watchdog") as file, mmap(file.fileno(), SIZE) as page:
         process, goodbye = _start(watchdog, file.fileno(), folder, priority)
         ours = WatchedDevice(device, min(deadlines), page)
         try:
@@ -171,10 +171,11 @@ def with_watchdog(device: LiveDevice, folder: Path, priority: int | None = None,
                 process.wait(END_S)
 
 
-def _file() -> IO[bytes]:
-    """A file of one page, in memory alone if the system can: a page on its way to a disk would hold up a tick."""
+def memory_page(name: str) -> IO[bytes]:
+    """Make a file of one page, in memory alone if the system can: a page on its way to a disk would hold up a tick."""
     memory = getattr(os, "memfd_create", None)
-    file: IO[bytes] = os.fdopen(memory("device watchdog"), "r+b") if memory else TemporaryFile()  # noqa: SIM115
+    # Its caller closes it.
+    file: IO[bytes] = os.fdopen(memory(name), "r+b") if memory else TemporaryFile()  # noqa: SIM115
     file.truncate(SIZE)
     return file
 

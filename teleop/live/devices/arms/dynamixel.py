@@ -10,7 +10,6 @@ themselves.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from inspect import signature
 
 try:
@@ -19,19 +18,16 @@ except ModuleNotFoundError as error:
     raise ImportError("Dynamixel servos are reached by ROBOTIS' SDK, which is not installed; type pip install "
                       "'bilateral-teleop[dynamixel]', or pip install dynamixel-sdk") from error
 from teleop.errors import DeviceError, Refused
-from teleop.live.devices.arms.sdk_chain import SdkChain, bus_ids, rest_of, watchdog_of
+from teleop.live.devices.arms.sdk_chain import SdkChain, SdkDriver
 from teleop.live.devices.arms.servo_bus import (
     MOST_TIMEOUT_MS,
     RADIANS,
     TIMEOUT_MS,
     ZERO,
     LetsGo,
-    ServoBus,
     ServoFault,
-    TorqueArm,
 )
 from teleop.live.devices.guarded_device import LiveDevice
-from teleop.live.devices.position_servo import position_arm
 from teleop.live.devices.settings import for_each, ids_of, numbers, one_of, positive, settings_of, whole, within
 from teleop.protocol.endpoint import Axes
 from teleop.protocol.guard import DEADLINE
@@ -159,29 +155,14 @@ class DynamixelChain(SdkChain):
             raise DeviceError(f"servo {servo} on {self.port} {ERRORS.get(flags, f'answered with error {flags}')}")
 
 
-def dynamixel_bus(scene: Scene, argument: str) -> ServoBus:
-    """Open the bus of positions that `PORT?ids=...` describes. Raises `Refused` or `DeviceError`."""
-    _, settings = settings_of("dynamixel", argument, READERS, EXAMPLE)
-    chain = _chain(argument, bus_ids(scene, settings, "dynamixel"))
-    return ServoBus(chain, lets_go=LetsGo(settings.get("lets_go", "hold")), rate=settings.get("rate"),
-                    watchdog=watchdog_of(__name__, argument, chain))
-
-
 def dynamixel_device(scene: Scene, port: str) -> LiveDevice:
     """Dynamixel X servos at the master's end, dynamixel:PORT; see teleop/live/devices/arms/README.md."""
-    return _arm(scene, port, "m")
+    return DRIVER.arm(scene, port, "m")
 
 
 def dynamixel_robot(scene: Scene, port: str) -> LiveDevice:
     """Dynamixel X servos at the slave's end, dynamixel:PORT; see teleop/live/devices/arms/README.md."""
-    return _arm(scene, port, "s")
-
-
-def _arm(scene: Scene, argument: str, e: str) -> LiveDevice:
-    if not {"mode", "kt"} & settings_of("dynamixel", argument, READERS, EXAMPLE)[1].keys():
-        return position_arm(scene, e, lambda: dynamixel_bus(scene, argument),
-                            "drive its torques by ?mode=current&kt=1.78")
-    return TorqueArm(dynamixel_bus(scene, argument), 1.0 if e == "s" else -1.0, deadline=DEADLINE)
+    return DRIVER.arm(scene, port, "s")
 
 
 def _chain(argument: str, ids: tuple[tuple[int, float], ...]) -> DynamixelChain:
@@ -194,8 +175,6 @@ def _chain(argument: str, ids: tuple[tuple[int, float], ...]) -> DynamixelChain:
                           limit=settings.get("limit"), unit=settings.get("unit"))
 
 
-def letting_go(argument: str, ids: str) -> Callable[[], None]:
-    """Make the function of the watchdog process, which lets the servos go over a port of its own."""
-    chain = _chain(argument, ids_of("ids", ids))
-    chain.connect()
-    return rest_of(chain, LetsGo(settings_of("dynamixel", argument, READERS, EXAMPLE)[1].get("lets_go", "hold")))
+DRIVER = SdkDriver("dynamixel", __name__, READERS, EXAMPLE, _chain, ("mode", "kt"), "mode=current&kt=1.78", DEADLINE)
+dynamixel_bus = DRIVER.bus
+letting_go = DRIVER.letting_go  # of the watchdog process

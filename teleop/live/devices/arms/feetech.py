@@ -8,15 +8,13 @@ read and never written: its mode, its limits of the position, its delay before a
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 try:
     import scservo_sdk
 except ModuleNotFoundError as error:
     raise ImportError("Feetech servos are reached by the vendor's SDK, which is not installed; type pip install "
                       "'bilateral-teleop[feetech]', or pip install feetech-servo-sdk") from error
 from teleop.errors import DeviceError, Refused
-from teleop.live.devices.arms.sdk_chain import SdkChain, bus_ids, rest_of, watchdog_of
+from teleop.live.devices.arms.sdk_chain import SdkChain, SdkDriver
 from teleop.live.devices.arms.servo_bus import (
     COUNTS,
     MOST_TIMEOUT_MS,
@@ -24,12 +22,9 @@ from teleop.live.devices.arms.servo_bus import (
     TIMEOUT_MS,
     ZERO,
     LetsGo,
-    ServoBus,
     ServoFault,
-    TorqueArm,
 )
 from teleop.live.devices.guarded_device import LiveDevice
-from teleop.live.devices.position_servo import position_arm
 from teleop.live.devices.settings import for_each, ids_of, numbers, one_of, positive, settings_of, whole, within
 from teleop.protocol.endpoint import Axes
 from teleop.scene.scene import Scene
@@ -157,28 +152,14 @@ def _pack(number: int, sign: int) -> int:
     return -number | sign if number < 0 else number
 
 
-def feetech_bus(scene: Scene, argument: str) -> ServoBus:
-    """Open the bus that `PORT?ids=...` describes. Raises `Refused` or `DeviceError`."""
-    _, settings = settings_of("feetech", argument, READERS, EXAMPLE)
-    chain = _chain(argument, bus_ids(scene, settings, "feetech"))
-    return ServoBus(chain, lets_go=LetsGo(settings.get("lets_go", "hold")), rate=settings.get("rate"),
-                    watchdog=watchdog_of(__name__, argument, chain))
-
-
 def feetech_device(scene: Scene, port: str) -> LiveDevice:
     """Feetech STS or SMS servos at the master's end, feetech:PORT; see teleop/live/devices/arms/README.md."""
-    return _arm(scene, port, "m")
+    return DRIVER.arm(scene, port, "m")
 
 
 def feetech_robot(scene: Scene, port: str) -> LiveDevice:
     """Feetech STS or SMS servos at the slave's end, feetech:PORT; see teleop/live/devices/arms/README.md."""
-    return _arm(scene, port, "s")
-
-
-def _arm(scene: Scene, argument: str, e: str) -> LiveDevice:
-    if not {"mode", "stall"} & settings_of("feetech", argument, READERS, EXAMPLE)[1].keys():
-        return position_arm(scene, e, lambda: feetech_bus(scene, argument), "drive its torques by ?mode=pwm&stall=1.5")
-    return TorqueArm(feetech_bus(scene, argument), 1.0 if e == "s" else -1.0, None)
+    return DRIVER.arm(scene, port, "s")
 
 
 def _chain(argument: str, ids: tuple[tuple[int, float], ...]) -> FeetechChain:
@@ -191,8 +172,6 @@ def _chain(argument: str, ids: tuple[tuple[int, float], ...]) -> FeetechChain:
                         stall=settings.get("stall"))
 
 
-def letting_go(argument: str, ids: str) -> Callable[[], None]:
-    """Make the function of the watchdog process, which lets the servos go over a port of its own."""
-    chain = _chain(argument, ids_of("ids", ids))
-    chain.connect()
-    return rest_of(chain, LetsGo(settings_of("feetech", argument, READERS, EXAMPLE)[1].get("lets_go", "hold")))
+DRIVER = SdkDriver("feetech", __name__, READERS, EXAMPLE, _chain, ("mode", "stall"), "mode=pwm&stall=1.5", None)
+feetech_bus = DRIVER.bus
+letting_go = DRIVER.letting_go  # of the watchdog process

@@ -20,12 +20,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from importlib.util import find_spec
 from mmap import mmap
-from tempfile import TemporaryFile
 from time import monotonic, monotonic_ns, sleep
-from typing import IO, Any
+from typing import Any
 
 from teleop.errors import DeviceError, Refused, number_of
-from teleop.live.devices.device_watchdog import module_path
+from teleop.live.devices.device_watchdog import memory_page, module_path
 from teleop.live.devices.settings import axes_of, for_each, numbers, one_of, settings_of, within
 from teleop.live.process.realtime import run_first
 from teleop.protocol.endpoint import Axes, Reading
@@ -69,7 +68,7 @@ class FrankaArm:
         is_cartesian = self._axes is not None
         self._limits = for_each("franka's limit", settings.get("limit", (LIMIT[is_cartesian],)), scene.axes)
         self._push = push
-        self._file = _memory()
+        self._file = memory_page("franka")
         self._page = mmap(self._file.fileno(), SIZE)
         plain = memoryview(self._page)
         self._words, self._reals = plain.cast("q"), plain.cast("d")
@@ -154,14 +153,6 @@ def _check_scene(scene: Scene, axes: tuple[tuple[int, float], ...] | None) -> No
     if axes is not None and (scene.axes != len(axes) or units != {"m"}):
         raise Refused(f"the scene has {number_of(scene.axes, 'axis', 'axes')} in {' and '.join(sorted(units))}, and "
                       f"?axes= names {len(axes)} of a Franka's hand, in m; name one for each axis of the scene")
-
-
-def _memory() -> IO[bytes]:
-    """A file of one page, in memory alone if the system can."""
-    make = getattr(os, "memfd_create", None)
-    file: IO[bytes] = os.fdopen(make("franka"), "r+b") if make else TemporaryFile()  # noqa: SIM115
-    file.truncate(SIZE)
-    return file
 
 
 def franka_device(scene: Scene, host: str) -> FrankaArm:

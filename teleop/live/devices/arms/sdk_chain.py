@@ -7,14 +7,17 @@ one: both are done here.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from time import monotonic_ns, sleep
-from typing import Any
+from typing import Any, NamedTuple
 
 from teleop.errors import DeviceError, Refused, number_of
-from teleop.live.devices.arms.servo_bus import TIMEOUT_MS, LetsGo, ServoChain, error_text
+from teleop.live.devices.arms.servo_bus import TIMEOUT_MS, LetsGo, ServoBus, ServoChain, TorqueArm, error_text
 from teleop.live.devices.device_watchdog import DeviceWatchdog
+from teleop.live.devices.guarded_device import LiveDevice
+from teleop.live.devices.position_servo import position_arm
+from teleop.live.devices.settings import Reader, ids_of, settings_of
 from teleop.protocol.endpoint import Axes
 from teleop.scene.scene import Scene
 
@@ -29,10 +32,45 @@ TRIES = 3  # of a number of a table, before a run
 REPEATS = 3  # of what nobody answers
 
 
-def watchdog_of(driver: str, argument: str, chain: SdkChain) -> DeviceWatchdog:
-    """Make the watchdog of a chain: `letting_go` of its driver's module, in a process and on a port of its own."""
-    return DeviceWatchdog(open=f"{driver}:letting_go", arguments=(argument, chain.signed_ids),
-                          device=f"{chain.name} {os.path.realpath(chain.port)}")
+class SdkDriver(NamedTuple):
+    """Driver of one vendor's chains, by the address that is typed. Its calls raise `Refused` or `DeviceError`."""
+
+    name: str
+    module: str  # importable by the watchdog process, with `letting_go`
+    readers: Mapping[str, Reader]
+    example: str
+    chain: Callable[[str, tuple[tuple[int, float], ...]], Any]  # makes an `SdkChain` of an address and ids
+    torques: tuple[str, ...]  # settings of a chain that takes torques,
+    typed: str  # ... and how they are typed
+    deadline: float | None  # s, after which the servos let a torque go by themselves
+
+    def settings(self, argument: str) -> dict[str, Any]:
+        """Read the settings behind the address."""
+        return settings_of(self.name, argument, self.readers, self.example)[1]
+
+    def bus(self, scene: Scene, argument: str) -> ServoBus:
+        """Open the bus that `PORT?ids=...` describes."""
+        settings = self.settings(argument)
+        chain = self.chain(argument, bus_ids(scene, settings, self.name))
+        watchdog = DeviceWatchdog(open=f"{self.module}:letting_go", arguments=(argument, chain.signed_ids),
+                                  device=f"{chain.name} {os.path.realpath(chain.port)}")
+        return ServoBus(chain, lets_go=self.lets_go(argument), rate=settings.get("rate"), watchdog=watchdog)
+
+    def arm(self, scene: Scene, argument: str, e: str) -> LiveDevice:
+        """Open the arm at an end, "m" or "s": of torques, where they are typed, else of positions."""
+        if not {*self.torques} & self.settings(argument).keys():
+            return position_arm(scene, e, lambda: self.bus(scene, argument), f"drive its torques by ?{self.typed}")
+        return TorqueArm(self.bus(scene, argument), 1.0 if e == "s" else -1.0, self.deadline)
+
+    def lets_go(self, argument: str) -> LetsGo:
+        """Read how the servos are left."""
+        return LetsGo(self.settings(argument).get("lets_go", "hold"))
+
+    def letting_go(self, argument: str, ids: str) -> Callable[[], None]:
+        """Make the function of the watchdog process, which lets the servos go over a port of its own."""
+        chain = self.chain(argument, ids_of("ids", ids))
+        chain.connect()
+        return rest_of(chain, self.lets_go(argument))
 
 
 def rest_of(chain: ServoChain, lets_go: LetsGo) -> Callable[[], None]:
