@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from teleop.stages.force_cap import Cap
     from teleop.stages.operator import Operator
     from teleop.stages.passivity_controller import PassivityController
-    from teleop.stages.scaling import Scaling
+    from teleop.stages.scaling import Frame, Scaling
     from teleop.stages.velocity.adaptive_window import BestFit, EndFit
     from teleop.stages.velocity.backward_difference import BackwardDifference
     from teleop.stages.velocity.levant import Levant
@@ -79,7 +79,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling",
     "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit",
-    "Energy", "Environment", "Facts", "Fixed", "FourChannel", "GrowingRun", "Hand", "Hold", "Integral", "Knob",
+    "Energy", "Environment", "Facts", "Fixed", "FourChannel", "Frame", "GrowingRun", "Hand", "Hold", "Integral", "Knob",
     "Law", "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator", "PDDamped", "PDamped",
     "PassivityController", "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance",
     "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Servo", "Table", "TwoLayer", "Vector", "VelocityEstimator",
@@ -141,7 +141,7 @@ _HOMES = {  # the module of each name, under this package
     "stages.operator": ("Operator",),
     "stages.passivity_controller": ("PassivityController",),
     "stages.force_cap": ("Cap",),
-    "stages.scaling": ("Scaling",),
+    "stages.scaling": ("Frame", "Scaling"),
     "stages.watchdog": ("Watchdog",),
     "stages.velocity.adaptive_window": ("BestFit", "EndFit"),
     "stages.velocity.backward_difference": ("BackwardDifference",),

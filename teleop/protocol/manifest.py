@@ -29,7 +29,8 @@ _CURES = {
 }
 _MADE = frozenset((  # the parts of a scene, which its knobs make
     "master", "slave", "hand", "environment", "link", "playout", "watchdog", "cap", "device_m", "device_s", "passivity",
-    "electrical", "scaling", "axes", "names", "units", "left_out_m", "left_out_s", "start_m", "start_s", "packet_size",
+    "electrical", "scaling", "frame", "axes", "names", "units", "left_out_m", "left_out_s", "start_m", "start_s",
+    "packet_size",
 ))
 _OF_AXES = frozenset(("axes", "names", "units"))
 _FIELD = re.compile(r"\b(\w+)=(-?[\w.+-]+)(?=[,)])")  # of a law without stages, as its dataclass is shown

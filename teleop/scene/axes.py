@@ -93,11 +93,6 @@ def check_alike(name: str, parts: tuple[Any, ...]) -> None:
                       "power, or none")
 
 
-def scales(scene: Any) -> tuple[tuple[float, float], ...]:
-    """(scale_x, scale_f) of each axis of a scene, see `teleop.stages.scaling`; (1.0, 1.0) where it scales nothing."""
-    return tuple([(1.0, 1.0) if each is None else (each.scale_x, each.scale_f) for each in scene.per_axis("scaling")])
-
-
 def each_axis(make: Callable[..., Any], axes: int, **numbers: Any) -> Any:
     """Make a part of these numbers: one for each axis where a number is a tuple, else one for all axes.
 

@@ -19,7 +19,7 @@ from teleop.errors import Refused, WrongNumber, enumerated, nearest, number, num
 from teleop.knob import UNDECLARED, Declared, Knob, declared, knobs_of_fields
 from teleop.law import BUILT_IN, Law, OnePortLaw, find_law, innermost, name_of_law
 from teleop.laws.around.names import LawText, arguments_of_law, around, law_text, read_stage
-from teleop.scene.axes import each_axis, scales
+from teleop.scene.axes import each_axis
 from teleop.scene.library import file_law, file_named, import_bundled
 from teleop.scene.playout import Playout, Zero, as_typed, integrates, read_playout
 from teleop.scene.scene import Scene
@@ -34,6 +34,8 @@ COMMON = {
     "scale_f": Declared(float | tuple[float, ...], 1.0, Knob(
         "", "newtons (or N m) of the slave, where there is one, for one of the master; one number, or one an axis",
         above=0.0)),
+    "frame": Declared(float | tuple[float, ...] | None, "the scene's", Knob(
+        "", "rotation from the master's base to the slave's: a rotation vector in rad, or a quaternion w,x,y,z")),
     "left_out": Declared(float, 0.0, Knob(
         "", "share of its ticks that each end leaves out, at random", low=0.0, high=1.0)),
     "deadband": Declared(float, 0.0, Knob(
@@ -74,10 +76,15 @@ def with_common(scene: Scene, values: Mapping[str, Any]) -> Scene:
     parts = {key: value for key, value in values.items() if key not in _SCALES}
     scaling = {key: value for key, value in values.items() if key in _SCALES}
     if scaling:
-        from teleop.stages.scaling import Scaling
+        from teleop.stages.scaling import Scaling, scales
 
         usual = [one if isinstance(scene.scaling, tuple) else one[0] for one in zip(*scales(scene), strict=True)]
         parts["scaling"] = each_axis(Scaling, scene.axes, **{**dict(zip(_SCALES, usual, strict=True)), **scaling})
+    if parts.get("frame") is not None:
+        from teleop.stages.scaling import Frame
+
+        turn = parts["frame"] if isinstance(parts["frame"], tuple) else (parts["frame"],)
+        parts["frame"] = Frame(rotation=turn, scale=1.0 if scene.frame is None else scene.frame.scale)
     if "left_out" in parts:
         share = parts.pop("left_out")
         ticks = import_bundled("channel.left_out").LeftOut(share) if share > 0.0 else None

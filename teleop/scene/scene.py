@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from teleop.stages.deadband import Deadband
     from teleop.stages.operator import Operator
     from teleop.stages.passivity_controller import PassivityController
+    from teleop.stages.scaling import Frame
     from teleop.stages.watchdog import Watchdog
 
 
@@ -128,7 +129,7 @@ def without_orientation(law: Any) -> str:
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
 PARTS = ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling",
-         "left_out_m", "left_out_s", "deadband", "operator")  # or None
+         "left_out_m", "left_out_s", "deadband", "operator", "frame")  # or None
 
 _NUMBERS = attrgetter("dt", "duration", "x_limit", "tolerance", "observer", "axes", "packet_size",
                       "start_m", "start_s", "names", "units", "rotations")
@@ -158,6 +159,7 @@ class Scene:
     device_s: Any = None  # the same at the slave
     passivity: PassivityController | None = None  # observer and controller on the master's port
     scaling: Any = None  # Scaling, the slave's metres and newtons for those of the master
+    frame: Frame | None = None  # the rotation and size from the master's base to the slave's
     operator: Operator | None = None  # the clutch and the operator-present switch, at the master
     electrical: ElectricalDamping | None = None  # of the master's motor
     left_out_m: LeftOutLike | None = None  # the ticks that the master leaves out; None: it runs every tick
@@ -193,7 +195,7 @@ class Scene:
 
     def _is_judged_by_classes(self) -> bool:
         """True if the checks, which it passed, ask for no more than the classes of its parts and its numbers."""
-        looked_at = any(each is not None for each in (self.deadband, self.operator, self.packet_size))
+        looked_at = any(each is not None for each in (self.deadband, self.operator, self.frame, self.packet_size))
         if looked_at or self.names or self.units or self.rotations or any(
                 isinstance(getattr(self, name), tuple) for name in (*PER_AXIS, "start_m", "start_s")):
             return False
@@ -222,6 +224,8 @@ class Scene:
             raise Refused(f"energy must be True or False, not {self.energy!r}; write energy=True")
         if self.rotations != ():
             check_rotations(self)
+        if self.frame is not None:
+            self.frame.triples(self)
         self._check_deadband()
         self._check_operator()
         self._check_packet()
@@ -261,7 +265,8 @@ class Scene:
             raise Refused(f"law {law_name(laws[0])} has two ends and the scene has no slave; take a "
                           "one-port law such as virtual_wall, or a scene with a slave")
         check_shape("one-port law", laws[0])
-        for name in ("link", "environment", "watchdog", "device_s", "scaling", "left_out_s", "deadband", "operator"):
+        for name in ("link", "environment", "watchdog", "device_s", "scaling", "frame", "left_out_s", "deadband",
+                     "operator"):
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
                               "slave=MassDamper(mass=0.5)")
@@ -450,6 +455,11 @@ def on_axis(scene: Scene, i: int) -> Scene:
         parts["hand"] = OwnGrip(parts["hand"], OneAxis(scene.reference, scene.axes, i))  # type: ignore[arg-type]  # there is one
     for name in ("start_m", "start_s"):
         parts[name] = scene.vector(name, getattr(scene, name))[i]
+    if scene.frame is not None:  # its rotation couples axes, and its size is that of each
+        from teleop.stages.scaling import Scaling, scales
+
+        scale_x, scale_f = scales(scene)[i]
+        parts |= {"frame": None, "scaling": Scaling(scale_x=scale_x, scale_f=scale_f)}
     return replace(scene, axes=1, rotations=(), names=(scene.axis_names[i],), units=(scene.axis_units[i],),
                    packet_size=None, **parts)
 

@@ -12,15 +12,16 @@ import numpy as np
 from teleop.errors import number_of, plural
 from teleop.law import is_built_in, law_name
 from teleop.law.contract import not_finite
-from teleop.scene.axes import labels_of, scales
+from teleop.scene.axes import labels_of
 from teleop.scene.library import known_scenes, scene_function
 from teleop.scene.playout import Playout, as_typed
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.metrics import found_at_rest
+from teleop.simulation.metrics import found_at_rest, in_base_of_master
 from teleop.simulation.plan import Plan
 from teleop.simulation.prepared import Prepared
 from teleop.simulation.rest import WINDOWS, pitch, places, swings, trend
+from teleop.stages.scaling import scales
 
 BEYOND = 2.0  # times the way that the hand's reference and the environment have
 OWN = 1e-3  # m or rad of swing besides
@@ -92,8 +93,8 @@ def growth(prepared: Prepared, trace: Mapping[str, Any], advises: bool) -> list[
     if not window:
         return []
     motion = places(trace)
-    if scene.scaling is not None and len(motion) > 1:  # in the master's units
-        motion[1] = motion[1] / np.array([scale_x for scale_x, _ in scales(scene)])
+    if (scene.scaling is not None or scene.frame is not None) and len(motion) > 1:  # in the master's units
+        motion[1] = in_base_of_master(scene, motion[1] / np.array([scale_x for scale_x, _ in scales(scene)]))
     swung = swings(motion, window)
     if trend(swung) != "grows":
         return []

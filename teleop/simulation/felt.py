@@ -43,10 +43,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from teleop.scene.axes import scales
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import risen
 from teleop.simulation.trace import blocks
+from teleop.stages.scaling import scales, transpose, turn
 
 TINY = 1e-300
 END = 0.1  # s, before the end: a force that jumps from tick to tick, under loss, is told by its mean
@@ -67,13 +67,15 @@ AT_REST = frozenset(("swing_frequency", "felt_stiffness", "felt_share"))  # once
 AT_END = ("f_m", "f_env", "x_m", "x_s", "touch")  # sums over the last `END`
 
 
-class Frame(NamedTuple):
+class Basis(NamedTuple):
     """Properties of a scene by which the figures are worked out."""
 
     dt: float  # s
     axes: int
     scales: tuple[tuple[float, float], ...]  # of each axis (scale_x, scale_f), see `teleop.stages.scaling`
     at: tuple[float, ...]  # the place of what the slave touches, of each axis, m; NaN where it has none
+    triples: tuple[int, ...] = ()  # the first of each three axes that are turned,
+    matrix: tuple[float, ...] = ()  # ... by this rotation from the master's base to the slave's
 
     @property
     def last(self) -> int:
@@ -81,11 +83,12 @@ class Frame(NamedTuple):
         return max(1, ceil(END / self.dt - 0.5))
 
 
-def frame_of(scene: Scene) -> Frame:
-    """Make the `Frame` of a scene."""
+def frame_of(scene: Scene) -> Basis:
+    """Make the `Basis` of a scene."""
     places = [getattr(each, "at", nan) for each in scene.environments] if scene.slave is not None else []
-    return Frame(scene.dt_ns / 1e9, scene.axes, scales(scene),
-                 tuple([float(at) if isinstance(at, int | float) else nan for at in places]))
+    return Basis(scene.dt_ns / 1e9, scene.axes, scales(scene),
+                 tuple([float(at) if isinstance(at, int | float) else nan for at in places]),
+                 *(() if scene.frame is None else (scene.frame.triples(scene), scene.frame.matrix)))
 
 
 def ranks(ticks: int) -> int:
@@ -108,7 +111,7 @@ def names(group: str, axes: int, ranked: int) -> tuple[str, ...]:
 # From the sums to the figures
 
 
-def figures(wanted: Sequence[str], sums: Mapping[str, float], frame: Frame, ran: int, late: int
+def figures(wanted: Sequence[str], sums: Mapping[str, float], frame: Basis, ran: int, late: int
             ) -> dict[str, float]:
     """Figures that these sums of a run of so many ticks have, except the ones of `AT_REST`.
 
@@ -123,12 +126,13 @@ def figures(wanted: Sequence[str], sums: Mapping[str, float], frame: Frame, ran:
         if name in wanted:
             values[name] = length(means(sums, name.removesuffix("_end"), frame, late))
     if "drift_end" in wanted:
-        values["drift_end"] = length([s / scale_x - m for s, m, (scale_x, _) in zip(
-            means(sums, "x_s", frame, late), means(sums, "x_m", frame, late), frame.scales, strict=True)])
+        slave = [s / scale_x for s, (scale_x, _) in zip(means(sums, "x_s", frame, late), frame.scales, strict=True)]
+        slave = turn(transpose(frame.matrix), frame.triples, slave)
+        values["drift_end"] = length([s - m for s, m in zip(slave, means(sums, "x_m", frame, late), strict=True)])
     return {name: values[name] for name in wanted if name in values}
 
 
-def resting(wanted: Sequence[str], sums: Mapping[str, float], frame: Frame, status: str) -> dict[str, float]:
+def resting(wanted: Sequence[str], sums: Mapping[str, float], frame: Basis, status: str) -> dict[str, float]:
     """Figures of `AT_REST` that these sums have, of a run that came to its end with this status."""
     values: dict[str, float] = {}
     if "felt_stiffness" in wanted or "felt_share" in wanted:
@@ -138,7 +142,7 @@ def resting(wanted: Sequence[str], sums: Mapping[str, float], frame: Frame, stat
     return {name: values[name] for name in wanted if name in values}
 
 
-def means(sums: Mapping[str, float], group: str, frame: Frame, count: int) -> list[float]:
+def means(sums: Mapping[str, float], group: str, frame: Basis, count: int) -> list[float]:
     """The means of each axis over the last `END`."""
     return [sums[name] / count for name in names(group, frame.axes, 0)]
 
@@ -154,7 +158,7 @@ def length(parts: Sequence[float]) -> float:
     return top * sqrt(total)
 
 
-def free(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
+def free(sums: Mapping[str, float], frame: Basis) -> dict[str, float]:
     """Mass (kg), drag (N s/m) and the share that they explain; none where the motion does not tell them apart."""
     n = sums.get("free_n", 0.0)
     if n < 3.0 or not all(isfinite(sums[name]) for name in names("free", frame.axes, 0)):
@@ -178,17 +182,18 @@ def free(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
     return values | ({"felt_fit": (per_tick * fa + drag * fv) / ff} if ff > 1e-12 * sums["free_ff"] else {})
 
 
-def stiffness(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
+def stiffness(sums: Mapping[str, float], frame: Basis) -> dict[str, float]:
     """Felt stiffness (N/m), and its share of what the slave feels of its environment; of axes that it touches alone."""
     count = frame.last
     axes = [i for i in range(frame.axes) if sums[f"touch_{i}"] == count and isfinite(frame.at[i])]
     touched = felt = way = own_way = 0.0
+    f_m, x_m = [turn(frame.matrix, frame.triples, means(sums, name, frame, count)) for name in ("f_m", "x_m")]
     for i in axes:
         scale_x, scale_f = frame.scales[i]
         force, at = sums[f"f_env_{i}"] / count / scale_f, frame.at[i] / scale_x
         touched += force * force
-        felt += force * (sums[f"f_m_{i}"] / count)
-        way += force * (sums[f"x_m_{i}"] / count - at)
+        felt += force * f_m[i]
+        way += force * (x_m[i] - at)
         if f"x_s_{i}" in sums:
             own_way += force * (sums[f"x_s_{i}"] / count / scale_x - at)
     if not (way > 0.0 and isfinite(felt)):
@@ -197,7 +202,7 @@ def stiffness(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
     return values | ({"felt_share": felt / way * (own_way / touched)} if own_way > 0.0 and touched > 0.0 else {})
 
 
-def smoothness(sums: Mapping[str, float], frame: Frame, ran: int) -> dict[str, float]:
+def smoothness(sums: Mapping[str, float], frame: Basis, ran: int) -> dict[str, float]:
     """The rate of change of f_m, rms and 99.9 % (N/s)."""
     steps = int(sums.get("steps", ran - 1))
     if steps < 1 or "jerk_sq" not in sums:
@@ -210,7 +215,7 @@ def smoothness(sums: Mapping[str, float], frame: Frame, ran: int) -> dict[str, f
     return values | ({"jerk_999": sums[rank] / frame.dt} if rank in sums else {})
 
 
-def turning(sums: Mapping[str, float], frame: Frame) -> dict[str, float]:
+def turning(sums: Mapping[str, float], frame: Basis) -> dict[str, float]:
     """The frequency (Hz) of the axis of the master that swings most; none of what turned but once."""
     most = max(range(frame.axes), key=lambda i: min(sums[f"rise_{i}"], sums[f"fall_{i}"]))
     count, first, latest = (sums[f"{name}_{most}"] for name in ("turns", "first", "latest"))
@@ -230,7 +235,7 @@ def in_order(values: NDArray[Any], total: float = 0.0) -> float:
     return float(total)
 
 
-def sums_of(frame: Frame, trace: Mapping[str, Any], groups: Sequence[str], first: int, size: Any) -> dict[str, float]:
+def sums_of(frame: Basis, trace: Mapping[str, Any], groups: Sequence[str], first: int, size: Any) -> dict[str, float]:
     """The sums of these groups of a trace, those of a group that it is not enough for left out.
 
     `first`: the first row of the last `END`; `size`: the magnitude over the axes of each row. Of the columns no more

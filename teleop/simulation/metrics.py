@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from teleop.scene.axes import scales
 from teleop.scene.scene import Scene
 from teleop.simulation.felt import AT_REST, END, SUMS, TINY, figures, frame_of, resting, sums_of, turns_of
 from teleop.simulation.rest import Still
 from teleop.simulation.trace import blocks
+from teleop.stages.scaling import scales, transpose, turn
 
 TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
 ROTATION = "a rotation"
@@ -197,11 +197,18 @@ def _error(scene: Scene, trace: Mapping[str, Any], name: str) -> NDArray[np.floa
     dt = scene.dt_ns / 1e9
     lag = _lag(_ages(trace, seq, dt), dt)
     x, opposite = trace[mine], law_places(trace)[theirs]
-    if scene.scaling is not None:  # in the master's units
+    if scene.scaling is not None or scene.frame is not None:  # in the master's units
         scale_x, scale_f = [_by_axis(one) for one in zip(*scales(scene), strict=True)]
-        x = x / scale_x if name == "x_err" else x
-        opposite = opposite / scale_f if name == "f_err" else opposite
+        x = in_base_of_master(scene, x / scale_x) if name == "x_err" else x
+        opposite = in_base_of_master(scene, opposite / scale_f) if name == "f_err" else opposite
     return _behind(x, opposite, _ticks(trace, dt), lag)
+
+
+def in_base_of_master(scene: Scene, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Columns of the slave, one for each axis, in the directions of the master's base."""
+    if scene.frame is None:
+        return columns
+    return np.stack(turn(transpose(scene.frame.matrix), scene.frame.triples(scene), columns.T), axis=1)
 
 
 def _by_axis(numbers: tuple[float, ...]) -> Any:

@@ -18,6 +18,7 @@ from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled,
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import LinkPlans, Packets, link_plans
 from teleop.stages.memory import LEFT_OUT
+from teleop.stages.scaling import scales
 
 SHARE = 0.99  # of the packets that come, which a longer playout is to play
 FADES = 0.001  # of the ticks: where so many are gaps, a steady force has lost a twentieth of itself in ten seconds
@@ -188,9 +189,10 @@ def facts(scene: Scene, axis: int, fwd: AgeRange | None, bwd: AgeRange | None, l
     The slave's body is as the law meets it, in the master's metres and newtons: of m_s a_s = f_s with x_s = scale_x x
     and f_s = scale_f f a mass m_s scale_x/scale_f (`teleop.stages.scaling`).
     """
-    master, slave, scaling = [scene.per_axis(name)[axis] for name in ("master", "slave", "scaling")]
+    master, slave = [scene.per_axis(name)[axis] for name in ("master", "slave")]
     master, slave = getattr(master, "body", master), getattr(slave, "body", slave)
-    felt = 1.0 if scaling is None else scaling.scale_x / scaling.scale_f
+    scale_x, scale_f = scales(scene)[axis]
+    felt = scale_x / scale_f
     return Facts(scene.dt_ns / 1e9, scene.axes, master.mass, master.damping, felt * slave.mass, felt * slave.damping,
                  fwd, bwd, lossy, _word(scene.played_as), held)
 
@@ -203,7 +205,8 @@ def law_notes(scene: Scene, fwd: AgeRange | None, bwd: AgeRange | None, lossy: b
     if scene.slave is None:
         return []
     clauses: dict[str, list[tuple[str, str]]] = {}  # by what is left without the numbers
-    alike = not any(isinstance(getattr(scene, name), tuple) for name in ("law", "master", "slave", "scaling"))
+    alike = scene.frame is None and not any(
+        isinstance(getattr(scene, name), tuple) for name in ("law", "master", "slave", "scaling"))
     for i, name in enumerate(scene.axis_names[:1] if alike else scene.axis_names):
         for sentence in broken(scene.laws[i], facts(scene, i, fwd, bwd, lossy, held)):
             condition = told_along(sentence, scene.axis_units[i])

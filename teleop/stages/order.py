@@ -1,7 +1,7 @@
 """The stages in their order: what stands between a device and its law, and between the law and the motor.
 
-A new stage is a file in this folder and its place in this list; `scaling.py` is a short one to start from. The file
-is imported only where a scene has the stage.
+A new stage is a file in this folder and its place in this list; `encoder.py` is a short one to start from. The file is
+imported only where a scene has the stage.
 """
 
 from __future__ import annotations
@@ -67,8 +67,9 @@ BEFORE_LAW = (  # what the law reads
     Place("observer", "observer:ObserverStage",
           lambda end: end.e == "m" and end.scene.observer is not None and "f" in end.reads,
           "estimates the hand's force, where the law reads it", "observer=200.0", "master"),
-    Place("scaling", "scaling:ScalingStage", lambda end: end.e == "s" and end.scene.scaling is not None,
-          "tells the law the slave's metres and newtons in those of the master, and its force back",
+    Place("scaling", "scaling:ScalingStage", lambda end: end.e == "s" and (
+              end.scene.scaling is not None or end.scene.frame is not None),
+          "tells the law the slave's metres, newtons and directions in those of the master, and its force back",
           "scaling=Scaling(scale_x=0.2, scale_f=0.5)", "slave"),
     # what it reads of the other end
     Place("wave_integral", "wave_integral:WaveIntegralStage", lambda end: _plays(end, "wave_integral"),

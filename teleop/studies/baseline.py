@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from teleop.errors import Refused
 from teleop.physics.plant import MassDamper
-from teleop.scene.axes import PER_AXIS, scales
+from teleop.scene.axes import PER_AXIS
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import reference_samples, slave_plants
 from teleop.simulation.felt import END
 from teleop.simulation.rest import still
+from teleop.stages.scaling import scales
 
 LATE = 0.5  # the share of a run, from its end, that counts as late: the hand is in contact then
 
@@ -57,7 +58,7 @@ class ContactForce(NamedTuple):
 def baseline_motion(scene: Scene) -> list[BaselineMotion]:
     """The motion of the baseline along each axis; none where no hand moves a slave, and where the scene scales."""
     paths = reference_samples(scene)
-    if paths is None or scene.slave is None or set(scales(scene)) != {(1.0, 1.0)}:
+    if paths is None or scene.slave is None or scene.frame is not None or set(scales(scene)) != {(1.0, 1.0)}:
         return []
     dt = scene.dt_ns / 1e9
     ends = list(zip(*[scene.per_axis(name) for name in ("master", "slave", "hand")], strict=True))
@@ -94,6 +95,9 @@ def rigid_baseline(scene: Scene) -> Baseline:
     if set(scales(scene)) != {(1.0, 1.0)}:
         raise Refused(f"scene {scene.name} scales the slave's motion or force, and a law is tuned against a rigid rod "
                       "between hand and slave, which does not; leave scale_x and scale_f out")
+    if scene.frame is not None:
+        raise Refused(f"scene {scene.name} turns the slave's base, and a law is tuned against a rigid rod between hand "
+                      "and slave, which does not; leave the frame out")
     hand = scene.hand
     way = force = fastest = 0.0
     ends = []

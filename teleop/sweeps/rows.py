@@ -20,7 +20,7 @@ from teleop.scene.library import OwnFile, own_file, scene_function
 from teleop.scene.loading import SceneMaker
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import slave_plants
-from teleop.simulation.felt import AT_REST, OF_SLAVE, Frame, frame_of
+from teleop.simulation.felt import AT_REST, OF_SLAVE, Basis, frame_of
 from teleop.simulation.prepared import Prepared, prepare
 from teleop.simulation.rest import Still, least_swing, still
 from teleop.simulation.structure import structure_of
@@ -57,7 +57,7 @@ class Ready(NamedTuple):
     path: Any  # of its hand
     schedules: Schedules
     still: Still | None
-    frame: Frame
+    frame: Basis
 
 
 class RowGroup:
@@ -151,7 +151,7 @@ class RowMaker:
         group = self._group(kernel, scene.ticks, flat, rest, frame)
         return KnownScene(prepared, Made(group, tree, flat, path, {}, rest, frame))
 
-    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None, frame: Frame) -> RowGroup:
+    def _group(self, kernel: Kernel, ticks: int, flat: Leaves | None, rest: Still | None, frame: Basis) -> RowGroup:
         key = id(kernel), ticks, tuple(flat.wholes) if flat else (), rest and (rest.since, rest.window), frame.last
         group = self._groups.get(key)
         if group is None:
@@ -216,7 +216,7 @@ class Made(NamedTuple):
     path: Any
     drawn: dict[int, Schedules]  # of its link, by the seed
     still: Still | None  # how its end is looked at
-    frame: Frame
+    frame: Basis
 
 
 class KnownScene:

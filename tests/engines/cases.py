@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 from channel import LeftOut, parse_link
 from master.hand import Grip, Sine
 from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
-from teleop import At, Energy, Fixed, Integral, Operator, Scaled, Scene, Servo, Wave, kind, load_scene
+from teleop import At, Energy, Fixed, Frame, Integral, Operator, Scaled, Scaling, Scene, Servo, Wave, kind, load_scene
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.pp import PositionPosition
@@ -238,6 +238,15 @@ def servos() -> list[Scene]:
     return made
 
 
+def framed(scene: str, **knobs: Any) -> list[Scene]:
+    """Bases turned by angles of their own, of another size, before walls and with scales of the axes."""
+    base = load_scene(scene, duration=0.3, **knobs)
+    scaling = tuple([Scaling(scale_x=1.0 + 0.5 * (i % 3 == 0), scale_f=2.0) for i in range(base.axes)])
+    scaling = scaling if not base.rotations else Scaling(scale_x=0.5)
+    return [replace(base, scaling=scaling, frame=Frame(rotation=(0.4 * n, -0.3, 1.0), scale=0.5 + 0.25 * n))
+            for n in range(3)]
+
+
 def many_axes() -> list[Scene]:
     """Eleven axes, of which two begin with the same digit, each from a place of its own and without a hand."""
     base = replace(load_scene("canonical"), hand=None, environment=None, duration=0.1, link=parse_link(ROUGH))
@@ -273,6 +282,8 @@ CASES: dict[str, Callable[[], list[Scene]]] = {
                                    law="guard | deadband(0.3) | direct"),
     "a coupling with branches": partial(knobs, "virtual_coupling", "law.K", [200.0 + 30.0 * n for n in range(MANY)]),
     "axes of their own": lambda: [unlike(LAWS["pp"], start_m=(0.01 * n, 0.02, 0.0), duration=0.3) for n in range(3)],
+    "a turned base": partial(framed, "recorded_reach", energy=True),
+    "a turned base of a pose": partial(framed, "pose"),
     "eleven axes": many_axes,
     "coupled axes without a link": coupled,
     "rotations": lambda: [tumbling(law=WavePosition(b=0.02, K=1.0 + n, B=0.02, K_p=0.2, B_p=0.005), duration=0.3,

@@ -55,6 +55,8 @@ a deadband                              X     X      X      f      f      -     
 stages around a law                     f     X      X      f      f      f       X
 a coupling with branches                f     f      X      f      f      -       f
 axes of their own                       X     X      f      f      f      X       f
+a turned base                           f     X      X      f      X      X       f
+a turned base of a pose                 X     f      f      f      f      f       X
 eleven axes                             X     X      f      f      f      f       f
 coupled axes without a link             X     X      X      f      f      f       f
 rotations                               X     X      X      f      f      X       f

@@ -24,9 +24,10 @@ class Alike(NamedTuple):
 
 
 def couples(scene: Scene) -> bool:
-    """True if the law of a scene of several axes, or the linear one in its place, sums over them."""
+    """True if axes go together: a frame turns them, or the law, or the linear one for it, sums over them."""
     law = with_linear_law(scene).laws[0]
-    return scene.axes > 1 and any(hasattr(law, f"{end}_sums") for end in ("master", "slave"))
+    sums = any(hasattr(law, f"{end}_sums") for end in ("master", "slave"))
+    return scene.axes > 1 and (sums or scene.frame is not None)
 
 
 def alike(scene: Scene) -> list[Alike]:
@@ -45,6 +46,8 @@ def alike(scene: Scene) -> list[Alike]:
 
 def coupling_law(scene: Scene) -> str:
     """In words why the axes of a scene go together."""
+    if scene.frame is not None:
+        return "the frame turns three axes together"
     return f"law {law_name(scene.laws[0])} sums over the axes"
 
 
@@ -60,7 +63,8 @@ def along(scene: Scene, name: str | None) -> Scene:
         raise Refused(f"scene {scene.name} has no axis {name!r}; {nearest(name, scene.axis_names)}")
     if couples(scene):
         raise Refused(f"{coupling_law(scene)} of scene {scene.name}, so none of them is judged by itself; leave --axis "
-                      "out, or take a law that does not, for example --set law=wave")
+                      "out, or " + ("leave the frame out" if scene.frame is not None else
+                                    "take a law that does not, for example --set law=wave"))
     return replace(on_axis(scene, scene.axis_names.index(name)), name=scene.name)
 
 

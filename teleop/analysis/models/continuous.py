@@ -67,9 +67,10 @@ def refuse_ticks(scene: Scene) -> None:
     if structure.m.has.inner or structure.s.has.inner:
         raise Refused("a body with a state of its own (electrical damping, a standard linear solid) is not known in "
                       "continuous time here; ask without --continuous")
-    if scene.scaling is not None:
-        raise Refused("scaling between master and slave is not known in continuous time here; ask without "
-                      "--continuous, or leave scaling out")
+    for name in ("scaling", "frame"):
+        if getattr(scene, name) is not None:
+            raise Refused(f"{name} between master and slave is not known in continuous time here; ask without "
+                          f"--continuous, or leave {name} out")
 
 
 def _margin(scene: Scene) -> Continuous:

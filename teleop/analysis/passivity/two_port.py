@@ -280,8 +280,9 @@ def _mechanical(scene: Scene, s: Points) -> Points:
 def _need_slave(scene: Scene) -> MassDamper:
     if scene.slave is None:
         raise Refused("a scene without a slave has one port, and no hybrid matrix; give it slave=MassDamper(mass=0.5)")
-    if scene.scaling is not None:
-        raise Refused("the hybrid matrix of a scene with scaling is not known here; leave scaling out, which changes "
-                      "the passivity of no port")
+    for name in ("scaling", "frame"):
+        if getattr(scene, name) is not None:
+            raise Refused(f"the hybrid matrix of a scene with {name} is not known here; leave {name} out, which "
+                          "changes the passivity of no port")
     slave: MassDamper = scene.slave
     return slave

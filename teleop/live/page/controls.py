@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 from teleop.errors import Refused, nearest, number
 from teleop.law import find_law, known_laws, law_name
 from teleop.live.page.rows import RecordTail
-from teleop.scene.axes import scales
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import import_bundled, scene_function
 from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.notes import untuned
 from teleop.simulation.result import law_with_gains, parameters
+from teleop.stages.scaling import places_of_slave
 
 OPEN_ENDED = "86400"  # s; a page goes on until Ctrl-C
 LOOKED_AT = 10.0  # s of the scene's own motion, for the span that is shown
@@ -381,8 +381,7 @@ class Clutch:
 
     def __init__(self, scene: Scene) -> None:
         self.is_open = False
-        self._scales = tuple([scale_x for scale_x, _ in scales(scene)])
-        self._axes = scene.axes
+        self._scene = scene
         self._held: set[Hashable] = set()
         self._offset = (0.0,) * scene.axes  # m, of the master
         self._switching = False  # the next session begins after a switch, which keeps the offset
@@ -427,10 +426,10 @@ class Clutch:
     def _positions(self, tails: Mapping[str, RecordTail], k: float) -> tuple[Position, Position] | None:
         """Positions of master and slave at tick k, in the master's metres."""
         positions = []
-        for e, scales_x in (("m", (1.0,) * self._axes), ("s", self._scales)):
+        for e in ("m", "s"):
             row = tails[e].at(k) if e in tails else None
             if row is None:
                 return None
-            columns = tails[e].slices[f"x_{e}"]
-            positions.append(tuple(x / scale for x, scale in zip(row[columns], scales_x, strict=True)))
+            places = row[tails[e].slices[f"x_{e}"]]
+            positions.append(tuple(places if e == "m" else places_of_slave(self._scene, places)))
         return positions[0], positions[1]

@@ -22,7 +22,7 @@ from teleop.law import law_name
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, reference_samples
-from teleop.simulation.felt import AT_END, AT_REST, OF_SLAVE, Frame, frame_of, resting
+from teleop.simulation.felt import AT_END, AT_REST, OF_SLAVE, Basis, frame_of, resting
 from teleop.simulation.felt import figures as summed
 from teleop.simulation.metrics import given_out
 from teleop.simulation.plan import Plan, link_plans, median_age
@@ -60,7 +60,7 @@ class RowInputs(NamedTuple):
     schedule: LinkSchedule
     path: Any  # of the hand: lists for plain Python, arrays for compiled code
     still: Still | None = None  # how its end is looked at; the kernel then gives `SWINGS`
-    frame: Frame | None = None  # what of its scene the sums go by; left out, as of the scene that the kernel is made of
+    frame: Basis | None = None  # what of its scene the sums go by; left out, as of the scene that the kernel is made of
 
     @property
     def windows(self) -> tuple[int, int, int]:
@@ -85,7 +85,7 @@ class Kernel(NamedTuple):
     engine: str
     measures: tuple[str, ...]  # the figures that are asked of it
     gives: tuple[str, ...]  # the figures and sums that it gives, in order
-    frame: Frame  # of the scene that it is made of
+    frame: Basis  # of the scene that it is made of
     run: Callable[[Sequence[RowInputs], Sequence[tuple[int, int]]], list[KernelOutput]]  # of rows and their lags
     width: int = 1  # rows that it runs at once
     why: str = ""  # it runs them, where another engine was asked for

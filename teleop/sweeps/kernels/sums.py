@@ -9,6 +9,7 @@ from typing import Any
 
 from teleop.simulation.felt import AT_END, names
 from teleop.stages.end import Axis, End, Record, Run
+from teleop.stages.scaling import force_of_master, place_of_master
 
 
 class AxisSums(Record):
@@ -199,9 +200,9 @@ def place_of_law(e: End, a: Axis) -> Any:
     """The place of one axis as the law is told it and in its units, m."""
     if e.stage.operator:
         return a.x - e.stage.operator.axes[a.i].offset
-    return a.x / e.stage.scaling.axes[a.i].scale_x if e.stage.scaling else a.x
+    return place_of_master(e.stage.scaling, a) if e.stage.scaling else a.x
 
 
 def force_of_law(e: End, a: Axis) -> Any:
     """The external force of one axis in the units of the law, N."""
-    return a.f_ext / e.stage.scaling.axes[a.i].scale_f if e.stage.scaling else a.f_ext
+    return force_of_master(e.stage.scaling, a) if e.stage.scaling else a.f_ext

@@ -13,7 +13,7 @@ from channel import Delay
 from master import Grip, Sine
 from slave import Tissue, Wall
 from teleop import Direct, MassDamper, Scene, Wave, load_scene, run, sweep
-from teleop.simulation.felt import SUMS, Frame, figures, ranks, smoothness, stiffness
+from teleop.simulation.felt import SUMS, Basis, figures, ranks, smoothness, stiffness
 from teleop.simulation.metrics import METRICS, metrics
 from teleop.sweeps.engine import needs_record
 from tests.programs import compiler_of
@@ -133,7 +133,7 @@ class TestPressing:
         assert got["x_err_rms"] == pytest.approx(14.4e-3, abs=0.1e-3)
 
     def test_a_wall_on_the_other_side_and_a_scaled_slave(self) -> None:
-        frame = Frame(1e-3, 1, ((2.0, 5.0),), (-0.04,))  # the wall is at -0.02 m in the master's units
+        frame = Basis(1e-3, 1, ((2.0, 5.0),), (-0.04,))  # the wall is at -0.02 m in the master's units
         sums = {"f_m_0": -3.0, "x_m_0": -0.03, "f_env_0": -15.0, "touch_0": 1.0, "x_s_0": -0.045}
         sums = {name: 100.0 * value for name, value in sums.items()}
         found = stiffness(sums, frame)
@@ -143,7 +143,7 @@ class TestPressing:
         assert stiffness({**sums, "x_m_0": -1.9}, frame) == {}  # drifted: the master is before the wall
 
     def test_of_several_axes_those_that_touch(self) -> None:
-        frame = Frame(1e-3, 3, ((1.0, 1.0),) * 3, (0.0, 0.0, 0.0))
+        frame = Basis(1e-3, 3, ((1.0, 1.0),) * 3, (0.0, 0.0, 0.0))
         sums = {"f_m_0": 2.0, "x_m_0": 0.01, "f_env_0": 2.0, "touch_0": 1.0, "f_m_1": 9.0, "x_m_1": 1.0, "f_env_1": 0.0,
                 "touch_1": 0.0, "f_m_2": 4.0, "x_m_2": 0.02, "f_env_2": 4.0, "touch_2": 1.0}
         assert stiffness({name: 100.0 * value for name, value in sums.items()}, frame)["felt_stiffness"] == (
@@ -176,7 +176,7 @@ class TestSmoothness:
         for n in (2, 999, 1000, 1001, 2000, 2001, 7345):
             steps = np.sort(DICE.random(n))[::-1]
             value = smoothness({"jerk_sq": 1.0, **{f"rank_{i}": float(step) for i, step in enumerate(steps)}},
-                               Frame(1.0, 1, ((1.0, 1.0),), (0.0,)), n + 1)["jerk_999"]
+                               Basis(1.0, 1, ((1.0, 1.0),), (0.0,)), n + 1)["jerk_999"]
             assert 1000 * np.count_nonzero(steps > value) <= n < 1000 * (np.count_nonzero(steps >= value))
             assert ranks(n + 1) == np.count_nonzero(steps >= value)
 
@@ -187,7 +187,7 @@ class TestTheRest:
         x_s[:-100] = 7.0
         got = metrics(SCENE, trace(V[:, 0], V[:, 0], x_m=x_m, x_s=x_s))
         assert got["drift_end"] == pytest.approx(0.03)
-        frame = Frame(1e-3, 2, ((2.0, 1.0), (2.0, 1.0)), (0.0, 0.0))
+        frame = Basis(1e-3, 2, ((2.0, 1.0), (2.0, 1.0)), (0.0, 0.0))
         sums = {"x_m_0": 100.0, "x_m_1": 50.0, "x_s_0": 206.0, "x_s_1": 92.0}
         assert figures(("drift_end",), sums, frame, 500, 100)["drift_end"] == pytest.approx(0.05)
 
