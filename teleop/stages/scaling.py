@@ -187,7 +187,7 @@ def in_units_of_master(scale_x: float, scale_f: float, at: At) -> At:
 
 
 def axis_of_master(p: At, q: At, r: At, a: float, b: float, c: float) -> At:
-    """One axis of the master's base, of the three of the slave's: a, b, c are its column of R."""
+    """Axis of the master's base, made of the three of the slave's: a, b, c are its column of R."""
     return At(a * p.x + b * q.x + c * r.x, a * p.v + b * q.v + c * r.v, a * p.f + b * q.f + c * r.f,
               a * p.f_held + b * q.f_held + c * r.f_held, a * p.dx + b * q.dx + c * r.dx, p.fresh, p.age, p.dt, p.span,
               p.gain)
