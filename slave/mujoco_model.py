@@ -13,13 +13,15 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from slave.mujoco_pose import Robot, join_names, start_pose
+from slave.mujoco_pose import Robot, start_pose
 from teleop.errors import Refused
+from teleop.live.devices.arm_model import join_names, joint_units, load_mujoco, not_loaded, usable_joints
 from teleop.scene.scene import Scene
 
 OWN = Path(__file__).parent / "arm.xml"
 END = "end_effector"  # the site or body that is looked for
 LETTERS = ("x", "y", "z")
+HEAVY = "?gravcomp=0"  # behind the file: the robot has its weight
 SUBSTEPS, MOST_SUBSTEPS = 4, 1000  # of a tick
 TIP = "teleop_end_effector"  # a body without mass at that site, which forces are applied to
 
@@ -54,9 +56,12 @@ class Loaded:
 def load(scene: Scene, file: str | None = None) -> Loaded:
     """The model in `file` for `scene`: FILE.xml, FILE.xml#NAME with NAME of the end effector, or either with @POSE.
 
-    POSE is that of `slave.mujoco_pose.start_pose`. Raises `Refused`.
+    POSE is that of `slave.mujoco_pose.start_pose`. `?gravcomp=0` behind all: its weight is not compensated. Raises
+    `Refused`.
     """
-    mujoco = _mujoco()
+    heavy = file is not None and file.endswith(HEAVY)
+    file = file.removesuffix(HEAVY) if file else file
+    mujoco = load_mujoco("the robot mujoco", "leave --robot out for the simulated one")
     path, name, pose = _parts(file)
     spec = _spec(mujoco, path)
     cartesian = _is_cartesian(scene)
@@ -67,7 +72,7 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
     try:
         for body in spec.bodies[1:]:
             if _is_carried(mujoco, body):
-                body.gravcomp = 1.0
+                body.gravcomp = 0.0 if heavy else 1.0
         model = spec.compile()
     except ValueError as error:
         raise _not_loaded(path, error) from error
@@ -151,17 +156,6 @@ def _substeps(path: str, dt: float, timestep: float) -> int:
     return max(SUBSTEPS, ceil(dt / timestep - 1e-9))
 
 
-def _mujoco() -> Any:
-    try:
-        import mujoco
-    except ImportError as error:
-        raise Refused("the robot mujoco needs mujoco-core: pip install 'bilateral-teleop[mujoco]', or leave --robot "
-                      "out for the simulated one") from error
-    # Without one, MuJoCo writes each warning to stderr and into a file MUJOCO_LOG.TXT; here they become notes.
-    mujoco.set_mju_user_warning(lambda _warning: None)
-    return mujoco
-
-
 def _spec(mujoco: Any, path: str) -> Any:
     if not Path(path).is_file():
         raise Refused(f"there is no file {path}; write --robot mujoco:FILE.xml with the path of an MJCF, or --robot "
@@ -173,9 +167,7 @@ def _spec(mujoco: Any, path: str) -> Any:
 
 
 def _not_loaded(path: str, error: Exception) -> Refused:
-    why = " ".join(str(error).split())
-    return Refused(f"{path} does not load as an MJCF ({why}); mend it there, or type --robot mujoco for the arm of "
-                   "this project")
+    return not_loaded(path, error, "type --robot mujoco for the arm of this project")
 
 
 def _add_tip(mujoco: Any, spec: Any, path: str, name: str) -> None:
@@ -200,14 +192,12 @@ def _add_tip(mujoco: Any, spec: Any, path: str, name: str) -> None:
 
 def _check_joints(mujoco: Any, scene: Scene, spec: Any, path: str) -> None:
     """Refuse axes that are no joints of the model of these names, hinges in rad and slides in m."""
-    kinds = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
-    units = {each.name: kinds.get(each.type) for each in spec.joints if each.name}
-    usable = join_names([f"{name} in {unit}" for name, unit in units.items() if unit is not None])
+    units = joint_units(mujoco, spec)
     missing = [name for name in scene.axis_names if units.get(name) is None]
     if missing:
-        raise Refused(f"the scene's axes {', '.join(missing)} are no joints of {path} (it has {usable}), and axes that "
-                      "are not joints are called x, y, z, all of them, translations of an end effector; write --robot "
-                      "mujoco:FILE.xml with a model that has such joints, or names=(...) in the scene")
+        raise Refused(f"the scene's axes {', '.join(missing)} are no joints of {path} (it has {usable_joints(units)}), "
+                      "and axes that are not joints are called x, y, z, all of them, translations of an end effector; "
+                      "write --robot mujoco:FILE.xml with a model that has such joints, or names=(...) in the scene")
     for name, unit in zip(scene.axis_names, scene.axis_units, strict=True):
         if units[name] != unit:
             raise Refused(f"the scene's axis {name} is in {unit}, and the joint {name} of {path} is in {units[name]}; "

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from teleop.errors import Refused, enumerated
+from teleop.live.devices.arm_model import join_names
 
 POSES, SEED = 1000, 0  # of the search, drawn evenly
 MARGIN = 0.1  # of the range of a joint, to either of its limits
@@ -28,7 +29,6 @@ RANK = 1e-6  # of the largest eigenvalue: constraints that are weaker are none
 OUTSIDE = 1e-4  # rad or m, beyond a limit, by which a position is rounded
 APART = 1e-3  # m or rad by which an equality constraint may be broken
 DIGITS = 4  # of a pose that was found, so that it can be typed
-LISTED = 12  # names that a sentence has
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,9 +338,3 @@ def _keyframes(robot: Robot) -> str:
 
 def _sites(robot: Robot) -> str:
     return f"--robot {robot.label.partition('#')[0]}#NAME with another of its sites or bodies"
-
-
-def join_names(names: list[str]) -> str:
-    """The first `LISTED` of the names that are not empty, as a sentence has them."""
-    known = [name for name in names if name]
-    return ", ".join([*known[:LISTED], *["..."] * (len(known) > LISTED)]) or "none has a name"

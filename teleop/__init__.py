@@ -42,7 +42,9 @@ if TYPE_CHECKING:
     from teleop.laws.wave_position import WavePosition
     from teleop.laws.wave_prediction import WavePrediction
     from teleop.laws.wave_scaled import WaveScaled
+    from teleop.live.devices.arm_model import ArmModel
     from teleop.live.devices.checking import check_device
+    from teleop.live.devices.compensated import Compensated
     from teleop.live.devices.device_watchdog import DeviceWatchdog
     from teleop.live.end import end_main
     from teleop.live.records.merge import load_result
@@ -77,16 +79,16 @@ if TYPE_CHECKING:
     from teleop.sweeps.table import Table
 
 __all__ = [
-    "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "At", "BackwardDifference", "BestFit", "Cap", "Coupling",
-    "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping", "Encoder", "EndFit",
-    "Energy", "Environment", "Facts", "Fixed", "FourChannel", "Frame", "GrowingRun", "Hand", "Hold", "Integral", "Knob",
-    "Law", "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator", "PDDamped", "PDamped",
-    "PassivityController", "Plant", "Playout", "PositionPosition", "Reading", "Reference", "Refused", "Resistance",
-    "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Servo", "Table", "TwoLayer", "Vector", "VelocityEstimator",
-    "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched", "WavePosition",
-    "WavePrediction", "WaveScaled", "Zero", "__version__", "around", "check_device", "check_knobs", "check_law",
-    "each_axis", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages", "number",
-    "run", "seed_energy", "servos_of_file", "sweep", "whole_number",
+    "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "ArmModel", "At", "BackwardDifference", "BestFit", "Cap",
+    "Compensated", "Coupling", "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping",
+    "Encoder", "EndFit", "Energy", "Environment", "Facts", "Fixed", "FourChannel", "Frame", "GrowingRun", "Hand",
+    "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator",
+    "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition", "Reading", "Reference",
+    "Refused", "Resistance", "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Servo", "Table", "TwoLayer",
+    "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched",
+    "WavePosition", "WavePrediction", "WaveScaled", "Zero", "__version__", "around", "check_device", "check_knobs",
+    "check_law", "each_axis", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene", "messages",
+    "number", "run", "seed_energy", "servos_of_file", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.law": ("check_law",),
@@ -116,7 +118,9 @@ _HOMES = {  # the module of each name, under this package
     "laws.wave_position": ("WavePosition",),
     "laws.wave_scaled": ("WaveScaled",),
     "laws.wave_prediction": ("WavePrediction",),
+    "live.devices.arm_model": ("ArmModel",),
     "live.devices.checking": ("check_device",),
+    "live.devices.compensated": ("Compensated",),
     "live.devices.device_watchdog": ("DeviceWatchdog",),
     "live.end": ("end_main",),
     "physics.implicit": ("Resistance",),

@@ -169,6 +169,7 @@ def _arguments_of(made: type[Any]) -> dict[str, tuple[bool, bool]]:
 
 
 DEVICES = {  # of the master's end
+    "compensated": "teleop.live.devices.compensated:compensated_device",
     "csv": "teleop.live.devices.csv_replay:replayed_device",
     "dynamixel": "teleop.live.devices.arms.dynamixel:dynamixel_device",
     "feetech": "teleop.live.devices.arms.feetech:feetech_device",
@@ -180,6 +181,7 @@ DEVICES = {  # of the master's end
     "simulated": "master.device:SimulatedMaster",
 }
 ROBOTS = {  # of the slave's end
+    "compensated": "teleop.live.devices.compensated:compensated_robot",
     "csv": "teleop.live.devices.csv_replay:replayed_robot",
     "dynamixel": "teleop.live.devices.arms.dynamixel:dynamixel_robot",
     "feetech": "teleop.live.devices.arms.feetech:feetech_robot",

@@ -142,7 +142,7 @@ def test_a_law_of_a_plug_in_runs_live_as_in_virtual_time(
 class TestDevicesOfAPlugIn:
     def test_are_listed_without_being_imported(self, site: Path) -> None:
         done = python(site, "-c", LISTED)
-        assert "rail       from a plug-in, rail_devices:carriage" in done.stdout
+        assert "rail         from a plug-in, rail_devices:carriage" in done.stdout
         assert done.stdout.splitlines()[-1] == "not imported"
 
     def test_pass_the_check_by_name_and_take_what_stands_behind_it(self, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,11 +1,11 @@
 """Way out of a live end: its device without force, its record closed, its peer told how the run ended.
 
 The force goes as in the safe state: along the watchdog's ramp and within the slew limit, tick by tick, so that nothing
-jumps in a person's hand. The law has no part in it: the force that was held falls in amount until it is zero. The
-device is read meanwhile, for the velocity cap; after a run that diverged it is not, since its readings are not
-believed. Without readings the way takes `BLIND_NS` at most, else as long as the guard says; what is left then goes at
-once. So does all of it after a second signal, and where something was raised: what is broken is asked for nothing more
-than zero.
+jumps in a person's hand. The law has no part in it: the force that was held falls in amount until it is zero. A device
+that carries the weight of its arm lowers that meanwhile. The device is read for the velocity cap, but not after a run
+that diverged, since its readings are not believed. Without readings the way takes `BLIND_NS` at most, else as long as
+the guard says; what is left then goes at once. So does all of it after a second signal, and where something was raised:
+what is broken is asked for nothing more than zero.
 
 Each of the steps is taken whatever the ones before it raise. Zero force is tried again for `RETRY_NS` by a device
 that does not take it; then the status is `UNRELEASED`, and the sentence says that the force may still be on.
@@ -37,6 +37,7 @@ from teleop.terminal.options import FAULT, FORCED
 
 RETRY_NS = 1_000_000_000  # zero force is tried for so long
 PAUSE = 0.005  # s between two tries
+LOWER_NS = 3_000_000_000  # for the law's force, and for a device to lower what it holds by itself
 HEED_S = 2.0  # a signal that was not heeded for so long counts as two
 HUNG_S = 0.3  # so long after the second an end that is well has no force any more
 LEAVE_S = 4.0  # so long after that it has none either, if it heeds the one; and so long a start is waited for
@@ -48,8 +49,9 @@ ACT_S = 1.0  # for the device to take zero force, the record to be written and t
 def let_go(shell: Shell) -> None:
     """Take the force of `shell` to zero, one step a tick; nothing of it is recorded but an event."""
     device, endpoint = shell.device, shell.endpoint
-    if shell.outcome.fault is not None or not device.forced:
+    if shell.outcome.fault is not None or not (device.forced or device.carries):
         return
+    device.lower()
     if shell.outcome.status != "ok" and device.trouble is None:
         # Now, so that the other end does not go on with what it heard last. How a device that fails has ended is told
         # when it is known.
@@ -59,10 +61,14 @@ def let_go(shell: Shell) -> None:
     alarm = Alarm()
     alarm.set(began + endpoint.end_scene.dt_ns, endpoint.end_scene.dt_ns)
     now, passed, reading = began, 1, None  # that of this tick has been used
+    carried = device.carries
+    at_once: Axes = ()
     while True:
         force = endpoint.held.over(None if reading is None else reading.v, passed)
-        spent = now - seen > BLIND_NS or endpoint.guard.overdue
-        if shell.interrupt.again or spent or not any(force):
+        if endpoint.guard.overdue and any(force):
+            at_once, force = force, (0.0,) * len(force)
+        spent = now - seen > BLIND_NS or now - began > LOWER_NS
+        if shell.interrupt.again or spent or not (any(force) or device.carries):
             break
         if not device.hold(force):
             break
@@ -75,8 +81,10 @@ def let_go(shell: Shell) -> None:
     if not device.let_go():
         endpoint.guard.tell(shell.counts.ran, "zero", f"the device does not take zero force: {device.trouble}")
         return
-    jump = f", the last {_sizes_of(endpoint, force)} at once" if any(force) else ""
-    sentence = f"{most} taken to zero in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
+    left = force if any(force) else at_once
+    jump = f", the last {_sizes_of(endpoint, left)} at once" if any(left) else ""
+    weight = " and the arm's weight lowered" * carried
+    sentence = f"{most} taken to zero{weight} in {(time.monotonic_ns() - began) / 1e9:.3f} s{jump}"
     endpoint.guard.tell(shell.counts.ran, "zero", sentence)
 
 

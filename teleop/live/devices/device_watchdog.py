@@ -36,6 +36,7 @@ from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any
 
 from teleop.errors import DeviceError, Refused, number
+from teleop.live.devices.guarded_device import let_go
 from teleop.live.process.output import live
 from teleop.live.process.realtime import run_first
 from teleop.live.records.record import EVENTS
@@ -107,8 +108,8 @@ class WatchedDevice:
     def hold(self, force: Axes) -> None:
         """Have the device hold `force` (N, per axis). Raises `DeviceError` if it holds zero instead."""
         words = self._words
-        if not any(force):
-            self._let_go(force)
+        if not any(force) and not self.carries:
+            self.let_go(force)
         elif words[FIRED] != words[ACKED]:
             self._hold_zero(force)
         else:
@@ -119,15 +120,25 @@ class WatchedDevice:
             if words[FIRED] != words[ACKED]:  # it took over just now, or while this process stood still in `hold`
                 self._hold_zero(force)
 
-    def _let_go(self, zero: Axes) -> None:
+    @property
+    def carries(self) -> bool:
+        """True while the device holds a force of its own."""
+        return bool(getattr(self.device, "carries", False))
+
+    def lower(self) -> None:
+        """Have the device end the force of its own, if it has one."""
+        getattr(self.device, "lower", lambda: None)()
+
+    def let_go(self, zero: Axes) -> None:
+        """Have the device hold no force, none of its own either."""
         words = self._words
-        self.device.hold(zero)
+        let_go(self.device, zero)
         words[BEAT] = 0
         if words[DONE] == words[FIRED]:
             words[ACKED] = words[FIRED]
 
     def _hold_zero(self, force: Axes) -> None:
-        self._let_go((0.0,) * len(force))
+        self.let_go((0.0,) * len(force))
         raise DeviceError("its watchdog has taken over, and zero is held")
 
     @property

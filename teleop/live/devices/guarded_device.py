@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from math import inf, isfinite, isnan
 from numbers import Real
 from typing import Any, Protocol
@@ -64,6 +65,11 @@ def deadline_of(device: LiveDevice, endpoint: Endpoint) -> float | None:
                       f"{endpoint.end_scene.dt:g} s; tick at least every {deadline / 2:g} s, by --rate or the "
                       "scene's dt")
     return deadline
+
+
+def let_go(device: LiveDevice, zero: Axes) -> None:
+    """Have a device hold no force at once: one that holds a force of its own by its `let_go`, others by `hold`."""
+    getattr(device, "let_go", device.hold)(zero)
 
 
 def is_simulated(device: LiveDevice) -> bool:
@@ -159,19 +165,33 @@ class GuardedDevice:
         if pushes:
             self.forced = True
         try:
-            self.device.hold(force)
+            if self.closed:
+                let_go(self.device, force)
+            else:
+                self.device.hold(force)
             self._held_well, self.forced = True, pushes
         except (DeviceError, OSError) as error:
             self._failed(error)
         return self._held_well
 
     def let_go(self) -> bool:
-        """Have it hold no force, whatever it raises; True if it took that."""
+        """Have it hold no force, none of its own either, whatever it raises; True if it took that."""
         try:
-            self.hold(self._zero)
+            let_go(self.device, self._zero)
+            self._held_well, self.forced = True, False
         except BaseException as error:
             self._failed(error)
         return self._held_well
+
+    @property
+    def carries(self) -> bool:
+        """True while it holds a force of its own, beside the one that it was given last."""
+        return bool(getattr(self.device, "carries", False))
+
+    def lower(self) -> None:
+        """Have it end the force of its own along a ramp, if it has one; what that raises is none of an end's faults."""
+        with suppress(Exception):
+            getattr(self.device, "lower", lambda: None)()
 
     def _failed(self, error: BaseException) -> None:
         self._held_well, self.trouble = False, str(error) or type(error).__name__

@@ -15,7 +15,7 @@ from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from teleop.errors import DeviceError, Refused, enumerated, nearest, number
-from teleop.live.devices.guarded_device import LiveDevice
+from teleop.live.devices.guarded_device import LiveDevice, let_go
 from teleop.naming import DEVICE_KINDS, find, known_devices
 from teleop.scene.library import own_module, prefer_bundled
 from teleop.scene.loading import load_scene
@@ -203,10 +203,10 @@ def watchdog_of(e: str, text: str, scene: str, knobs: Mapping[str, str]) -> Devi
 
 
 def zeroing(e: str, text: str, scene: str, knobs: str) -> Callable[[], None]:
-    """Open the device in the watchdog process; the function returned has it hold zero. Raises `Refused`."""
+    """Open the device in the watchdog process; the function returned has it hold nothing. Raises `Refused`."""
     loaded = both_ends(load_scene(scene, **json.loads(knobs)))
     device, zero = find_device(e, text).open(loaded), (0.0,) * loaded.axes
-    return lambda: device.hold(zero)
+    return lambda: let_go(device, zero)
 
 
 def pointer(scene: Scene) -> NoReturn:
