@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
-from time import perf_counter, perf_counter_ns
+from time import gmtime, perf_counter, perf_counter_ns, strftime
 
 from teleop.terminal.commands import COMMANDS, FIRST, parser
 from teleop.terminal.options import DONE, INTERRUPTED, guarded
@@ -26,6 +26,7 @@ HOME = {
     "advise": "teleop.studies.advise.report:command",
     "matrix": "teleop.sweeps.matrix:command",
     "compare": "teleop.studies.compare.command:command",
+    "study": "teleop.people.command:command",
     "precision": "teleop.analysis.precision.report:command",
     "stability": "teleop.analysis.stability.command:command",
     "passivity": "teleop.analysis.passivity.command:command",
@@ -86,6 +87,7 @@ def _obey(typed: Sequence[str]) -> int:
 
     args.typed = ["teleop", *typed]
     args.seconds, args.nanoseconds = perf_counter, perf_counter_ns
+    args.date = strftime("%Y-%m-%dT%H:%M:%SZ", gmtime())
     with_devices = args.do == "run" and (args.device is not None or args.robot is not None)
     module, _, function = HOME["run, with devices" if with_devices else args.do].partition(":")
     command = getattr(import_module(module), function)

@@ -15,6 +15,7 @@ from teleop.terminal.options import (
     tick_options,
     whole,
 )
+from teleop.terminal.study_options import study_options
 from teleop.version import __version__
 
 FIRST = """\
@@ -51,6 +52,7 @@ examples:
   teleop matrix
   teleop reproduce gil
   teleop compare --laws wave,pfra --plot
+  teleop study check scenarios/examples/people/discrimination.toml
   teleop list hard_wall
   teleop report runs/hard_wall-1 --plot --format pdf
   teleop replay runs/hard_wall-1 --set law.b=4
@@ -437,6 +439,8 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
                "expected of it.", _matrix),
     "compare": ("Compare laws over links, environments and seeds: one table, and with --plot a figure a question; the "
                 "same command goes on where it stopped.", _compare),
+    "study": ("Experiments with people: check a plan, simulate it, analyse and unblind a study, run a trial again.",
+              study_options),
     "precision": ("Measure error against run time: the exact steps beside every other way to integrate.", _precision),
     "stability": ("Count the unstable roots of a linear scene's exact sampled loop, and find its margins.", _stability),
     "passivity": ("Two-port: hybrid matrix, Llewellyn's criterion, transparency; one port: is its sampled controller "
