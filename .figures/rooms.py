@@ -21,7 +21,7 @@ FLOORS: tuple[dict[str, str], ...] = (
     {"__main__": "the commands", "master": "hands", "slave": "robots, contacts", "channel": "effects, the relay",
      "doctor": "what is installed", "bench": "what it costs", "report": "a stored run again",
      "export": "for other tools", "completion": "of what is typed"},
-    {"studies": "laws side by side", "checks": "check_law"},
+    {"studies": "laws side by side", "checks": "check_law", "people": "experiments"},
     {"analysis": "stability, Z-width", "sweeps": "runs of one scene", "live": "clocks and sockets"},
     {"emit": "an end as C"},
     {"terminal": "options and tables", "protocol": "bytes in, force out"},
