@@ -1,9 +1,10 @@
 """A MuJoCo model for a scene: loaded from an MJCF, and what of it the axes of the scene are.
 
-Axes that are called x, y, z are translations of the end effector along the world's axes of these names; the scene's
-zero is where the end effector stands at the start less the scene's start_s, so it begins where the scene says. Other
-axes are joints of their names, in rad or m, that begin at start_s. The pose that the model begins in is in
-`slave.mujoco_pose`. Translations that the scene has no axis for are held by a spring and a damper.
+Axes that are called x, y, z are translations of the end effector along the world's axes of these names, and the three
+axes of a rotation of the scene its turns about them; the scene's zero is where the end effector stands at the start
+less the scene's start_s, so it begins where the scene says. Other axes are joints of their names, in rad or m, that
+begin at start_s. The pose that the model begins in is in `slave.mujoco_pose`. Translations that the scene has no axis
+for are held by a spring and a damper; turns are not.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from teleop.errors import Refused
 from teleop.live.devices.arm_model import join_names, joint_units, load_mujoco, not_loaded, usable_joints
 from teleop.scene.scene import Scene
 
-OWN = Path(__file__).parent / "arm.xml"
+OWN, TURNS = (Path(__file__).parent / name for name in ("arm.xml", "wrist.xml"))  # the second of six joints, for turns
 END = "end_effector"  # the site or body that is looked for
 LETTERS = ("x", "y", "z")
 HEAVY = "?gravcomp=0"  # behind the file: the robot has its weight
@@ -30,12 +31,13 @@ TIP = "teleop_end_effector"  # a body without mass at that site, which forces ar
 class Loaded:
     """A compiled model and the scene's axes in it.
 
-    `names` and `units` are the scene's. `axes`: of an end effector the world's axes (0, 1, 2), of joints their degrees
-    of freedom; `places`: of joints, where they stand in qpos. `tip`: the body that forces are applied to; None: the
-    axes are joints. `zero`: where in the world the scene's positions count from, m. `held`: world's axes without one
-    of the scene, and where they are held. `geoms`: those of the end effector and of what hangs on it; where the axes
-    are joints, all of the robot's. `robot`: the part of the model that is the robot. `notes`: on the pose that it
-    begins in.
+    `names` and `units` are the scene's. `axes`: of an end effector translations along the world's axes (0, 1, 2) and
+    turns about them (3, 4, 5), of joints their degrees of freedom; `places`: of joints, where they stand in qpos.
+    `tip`: the body that forces are applied to; None: the axes are joints. `zero`: where in the world the scene's
+    positions count from, m, 0 of turns; `turned`: by what rotation vector the scene begins, rad. `held`: world's axes
+    without one of the scene, and where they are held. `geoms`: those of the end effector and of what hangs on it; where
+    the axes are joints, all of the robot's. `robot`: the part of the model that is the robot. `notes`: on the pose that
+    it begins in.
     """
 
     model: Any
@@ -47,6 +49,7 @@ class Loaded:
     places: list[int]
     tip: int | None
     zero: tuple[float, ...]
+    turned: tuple[float, ...]
     held: tuple[tuple[int, float], ...]
     geoms: frozenset[int]
     robot: Robot
@@ -62,7 +65,7 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
     heavy = file is not None and file.endswith(HEAVY)
     file = file.removesuffix(HEAVY) if file else file
     mujoco = load_mujoco("the robot mujoco", "leave --robot out for the simulated one")
-    path, name, pose = _parts(file)
+    path, name, pose = _parts(file or str(TURNS if scene.rotations else OWN))
     spec = _spec(mujoco, path)
     cartesian = _is_cartesian(scene)
     if cartesian:
@@ -89,10 +92,10 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
         robot = _robot(mujoco, model, label, name or path, None, scene.axis_names, axes,
                        dict(zip(places, starts, strict=True)))
         qpos, notes = start_pose(robot, pose)
-        return Loaded(model, qpos, substeps, scene.axis_names, scene.axis_units, axes, places, None, (), (),
+        return Loaded(model, qpos, substeps, scene.axis_names, scene.axis_units, axes, places, None, (), (), (),
                       robot.geoms, robot, tuple(notes))
     tip = model.body(TIP).id
-    axes = [LETTERS.index(each) for each in scene.axis_names]
+    axes = _cartesian_axes(scene)
     robot = _robot(mujoco, model, label, name or END, tip, scene.axis_names, axes, {})
     qpos, notes = start_pose(robot, pose)
     data = mujoco.MjData(model)
@@ -101,14 +104,13 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
     at = data.xpos[tip].tolist()
     return Loaded(
         model, qpos, substeps, scene.axis_names, scene.axis_units, axes, [], tip,
-        tuple([at[i] - start for i, start in zip(axes, starts, strict=True)]), tuple([(i, at[i]) for i in robot.held]),
-        _geoms_of(model, tip), robot, tuple(notes))
+        tuple([at[i] - start if i < 3 else 0.0 for i, start in zip(axes, starts, strict=True)]),
+        tuple([start for i, start in zip(axes, starts, strict=True) if i >= 3]),
+        tuple([(i, at[i]) for i in robot.held]), _geoms_of(model, tip), robot, tuple(notes))
 
 
-def _parts(file: str | None) -> tuple[str, str, str | None]:
+def _parts(file: str) -> tuple[str, str, str | None]:
     """The path of the MJCF, the name of the end effector ("": `END`), and the pose, None without one."""
-    if file is None:
-        return str(OWN), "", None
     ends = [n for n, letter in enumerate(file) if letter in "#@"]
     end = next((n for n in (len(file), *reversed(ends)) if Path(file[:n]).is_file()), min(ends, default=len(file)))
     name, at, pose = file[end:].partition("@")
@@ -136,15 +138,28 @@ def _robot(mujoco: Any, model: Any, label: str, point: str, tip: int | None, nam
 
 
 def _is_cartesian(scene: Scene) -> bool:
-    """True where the axes are translations of an end effector. Raises `Refused` where one of x, y, z is an angle."""
-    if not set(scene.axis_names) <= set(LETTERS):
+    """True where the axes are translations of an end effector, and its rotation.
+
+    Raises `Refused` where one of x, y, z is an angle, and for a second rotation.
+    """
+    names = [name for i, name in enumerate(scene.axis_names) if i not in scene.turning]
+    if not set(names) <= set(LETTERS):
         return False
-    for name, unit in zip(scene.axis_names, scene.axis_units, strict=True):
-        if unit != "m":
+    if len(scene.rotations) > 1:
+        raise Refused(f"the scene has {len(scene.rotations)} rotations, and an end effector in MuJoCo has one; take a "
+                      "scene with one rotation")
+    for i, (name, unit) in enumerate(zip(scene.axis_names, scene.axis_units, strict=True)):
+        if unit != "m" and i not in scene.turning:
             raise Refused(f"the scene's axis {name} is in {unit}, and in MuJoCo an axis of this name is a translation "
                           "of the end effector; write units=(...) in the scene with m for it, or name the axis after "
                           "a joint")
     return True
+
+
+def _cartesian_axes(scene: Scene) -> list[int]:
+    """The scene's axes of an end effector: 0 to 2 its translations along the world's axes, 3 to 5 its turns."""
+    turns = {first + i: 3 + i for first in scene.rotations for i in range(3)}
+    return [turns[i] if i in turns else LETTERS.index(name) for i, name in enumerate(scene.axis_names)]
 
 
 def _substeps(path: str, dt: float, timestep: float) -> int:

@@ -2,7 +2,8 @@
 
 A pose is sound if each joint is inside its limits, no geom of the robot touches anything, and a push moves the robot
 along every axis of the scene. The last goes by the inverse effective mass J M^-1 J^T (Khatib, "A unified approach for
-motion and force control of robot manipulators", IEEE J. Robotics and Automation 3 (1987)), with M^-1 projected on the
+motion and force control of robot manipulators", IEEE J. Robotics and Automation 3 (1987)), a radian counting as
+`LEVER` metres, with M^-1 projected on the
 motions that the equality constraints of the file leave: a weld to a mocap body leaves none. Far from singular is where
 the smallest singular value of J alone is large (Yoshikawa, "Manipulability of robotic mechanisms", Int. J. Robotics
 Research 4 (1985)), next to the largest that was found.
@@ -23,6 +24,7 @@ from teleop.live.devices.arm_model import join_names
 POSES, SEED = 1000, 0  # of the search, drawn evenly
 MARGIN = 0.1  # of the range of a joint, to either of its limits
 PART = 0.5  # of the largest manipulability found: a pose with less is too near to a singular one
+LEVER = 0.1  # m, of an end effector, that its turn by a radian is compared with
 BLOCKED = 1e-4  # of the inverse effective mass along the lightest direction: what has less does not move
 ON_AXIS = 1e-6  # m/rad: a point that is moved by less stands on the axes of its joints
 RANK = 1e-6  # of the largest eigenvalue: constraints that are weaker are none
@@ -38,7 +40,8 @@ class Robot:
     `label`: the robot as it is typed, without a pose; `point`: the site or body that is its end effector. `joints`: the
     hinges and slides that carry it, in the order of the file; where the axes are joints, all of the robot. `others`:
     those of the same tree that do not. `geoms`: those of the tree. `tip`: the body that forces are applied to; None:
-    the axes are joints. `axes`, `held`: world's axes that the scene has and has not, or degrees of freedom. `starts`:
+    the axes are joints. `axes`, `held`: the world's axes that the scene has, turns from 3 on, and translations that it
+    has not, or degrees of freedom. `starts`:
     where in qpos the scene says a position, and which. `names`: of the scene's axes.
     """
 
@@ -259,7 +262,10 @@ def _jacobians(robot: Robot, data: Any) -> tuple[Any, Any, Any]:
         row = np.zeros(data.nefc)
         row[n] = 1.0
         mujoco.mj_mulJacTVec(model, data, equal[n], row)
-    return jacobian(robot, data), jacobian(robot, data, robot.held), equal
+    J = jacobian(robot, data)
+    if robot.tip is not None:
+        J[[i >= 3 for i in robot.axes]] *= LEVER
+    return J, jacobian(robot, data, robot.held), equal
 
 
 def jacobian(robot: Robot, data: Any, axes: Sequence[int] | None = None) -> Any:
@@ -267,8 +273,8 @@ def jacobian(robot: Robot, data: Any, axes: Sequence[int] | None = None) -> Any:
     axes = list(robot.axes if axes is None else axes)
     if robot.tip is None:
         return np.eye(robot.model.nv)[axes]
-    J = np.zeros((3, robot.model.nv))
-    robot.mujoco.mj_jacBody(robot.model, data, J, None, robot.tip)
+    J = np.zeros((6, robot.model.nv))
+    robot.mujoco.mj_jacBody(robot.model, data, J[:3], J[3:], robot.tip)
     return J[axes]
 
 

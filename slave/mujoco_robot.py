@@ -4,8 +4,9 @@
 `slave.mujoco_model`: translations of its end effector, or joints. Whatever actuators the file has are off: the motors
 are those of the scene. Each body of the arm has its weight compensated at every sub-step (MuJoCo's `gravcomp`).
 
-A force on the end effector is applied to the point itself (`xfrc_applied`), so that MuJoCo takes J^T f anew at every
-sub-step, and the work of the force is f dx to the order of the integrator. Torques go to `qfrc_applied`. `mj_step`
+A force on the end effector, and a torque about it, is applied to the point itself (`xfrc_applied`), so that MuJoCo
+takes J^T f anew at every sub-step, and the work is f dx to the order of the integrator. Its turns are counted by
+`RotationAxes`, as of any device that tells a quaternion. Torques of joints go to `qfrc_applied`. `mj_step`
 leaves positions and velocities of bodies a sub-step behind the state, so they are computed once more at each tick.
 
 MuJoCo's contacts are soft by how they are computed, and their stiffness goes with the force. So it is measured before
@@ -15,7 +16,7 @@ the run, never promised: pressed slowly in a copy of the state, along the first 
 from __future__ import annotations
 
 from copy import copy
-from math import hypot, inf, isfinite
+from math import hypot, inf, isfinite, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,7 @@ import numpy as np
 from slave.mujoco_model import Loaded, load
 from slave.mujoco_pose import ON_AXIS, jacobian
 from teleop.errors import DeviceError
+from teleop.physics.rotation import Quaternion, RotationAxes, exp, product
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.protocol.guard import DEADLINE
 from teleop.scene.axes import FORCE_UNIT
@@ -52,14 +54,20 @@ class MuJoCoBody:
         self.data.qpos[:] = model.qpos
         mujoco.mj_forward(self._model, self.data)
         self._velocity, self._wrench = np.zeros(6), np.zeros(6)
+        self._rotation = RotationAxes()
+        self._begun: Quaternion | None = None  # what turns its quaternion into the scene's
+        if model.turned:
+            w, x, y, z = self._quaternion()
+            self._begun = product(w, -x, -y, -z, *exp(*model.turned))
         self._force: Axes = (0.0,) * len(model.axes)
         self._besides: dict[bool, tuple[float, float, int, int]] = {}
         self._views()
+        self._turns = self._turned()
 
     def __copy__(self) -> MuJoCoBody:
         body = MuJoCoBody.__new__(MuJoCoBody)
         body.__dict__.update(self.__dict__)
-        body.data, body._besides = copy(self.data), {}
+        body.data, body._besides, body._rotation = copy(self.data), {}, copy(self._rotation)
         body._views()
         return body
 
@@ -90,6 +98,7 @@ class MuJoCoBody:
             mujoco.mj_comVel(model, data)
         except mujoco.FatalError as error:
             raise DeviceError(f"MuJoCo gave up: {error}") from error
+        self._turns = self._turned()
 
     def read(self) -> Reading:
         """Read position, velocity, and the force of its contacts on the environment."""
@@ -97,7 +106,7 @@ class MuJoCoBody:
         if loaded.tip is None:
             x, v = self.data.qpos[loaded.places].tolist(), self.data.qvel[loaded.axes].tolist()
             return Reading(tuple(x), tuple(v), self._torque())
-        where, speed = self._place.tolist(), self._speed()
+        where, speed = [*self._place.tolist(), *self._turns], self._speed()
         return Reading(tuple([where[i] - zero for i, zero in zip(loaded.axes, loaded.zero, strict=True)]),
                        tuple([speed[i] for i in loaded.axes]), self._touch())
 
@@ -108,11 +117,25 @@ class MuJoCoBody:
                 for i, count in enumerate(self.data.warning.number.tolist()) if count]
 
     def _speed(self) -> list[float]:
-        """The velocity of the end effector, m/s, along the world's axes."""
+        """The velocity of the end effector, m/s along the world's axes, and rad/s about them."""
         self._mujoco.mj_objectVelocity(
             self._model, self.data, self._mujoco.mjtObj.mjOBJ_XBODY, self.loaded.tip, self._velocity, 0)
-        speed: list[float] = self._velocity[3:].tolist()
-        return speed
+        speed: list[float] = self._velocity.tolist()
+        return [*speed[3:], *speed[:3]]
+
+    def _quaternion(self) -> Quaternion:
+        """The unit quaternion of the end effector."""
+        w, x, y, z = self.data.xquat[self.loaded.tip].tolist()
+        return w, x, y, z
+
+    def _turned(self) -> tuple[float, ...]:
+        """The coordinates of the end effector's rotation, rad, which begin where the scene does; none without one."""
+        if self._begun is None:
+            return ()
+        quaternion = self._quaternion()
+        if not isfinite(sum(quaternion)):  # of a model that became unstable
+            return (nan,) * 3
+        return self._rotation.phi(product(*quaternion, *self._begun))
 
     def _hold_the_others(self) -> None:
         """Hold the end effector where it began along the translations that the scene has no axis for."""
@@ -130,9 +153,13 @@ class MuJoCoBody:
         return notes
 
     def _touch(self) -> Axes:
-        """The sum of the contact forces of the end effector on what is not the robot, N, along the scene's axes."""
+        """The sum of the contact forces of the end effector on what is not the robot, N, along the scene's axes.
+
+        About those of its rotation the sum of their torques about the end effector, N m.
+        """
         data = self.data
-        total = [0.0, 0.0, 0.0]
+        total = [0.0] * 6
+        turns = self._begun is not None
         for n in self._contacts():
             contact = data.contact[n]
             self._mujoco.mj_contactForce(self._model, data, n, self._wrench)
@@ -140,6 +167,11 @@ class MuJoCoBody:
             force, frame = self._wrench.tolist(), contact.frame.tolist()
             for i in range(3):
                 total[i] += sign * (force[0] * frame[i] + force[1] * frame[3 + i] + force[2] * frame[6 + i])
+            if turns:
+                axes = contact.frame.reshape(3, 3).T
+                arm = np.cross(contact.pos - self._place, axes @ self._wrench[:3]) + axes @ self._wrench[3:]
+                for i, each in enumerate(arm.tolist()):
+                    total[3 + i] += sign * each
         return tuple([total[i] for i in self.loaded.axes])
 
     def _torque(self) -> Axes:
@@ -175,11 +207,12 @@ class MuJoCoRobot:
     """A robot in MuJoCo, mujoco or mujoco:FILE.xml: its motion under a force that is held between the ticks.
 
     `file`: an MJCF, `FILE.xml` or `FILE.xml#NAME` with the name of the site or body that is its end effector, either
-    with the pose that it begins in, `@KEYFRAME` or `@q=Q1,Q2,...` (see `slave.mujoco_pose`); left out: the arm of this
-    project, three joints between a wall and a table. `notes` say in which pose it began, what was found when it was
-    pressed against what it touches, which contacts f_env does not count, and what MuJoCo warned of. f_env is the force
-    of the contacts of the end effector with what is not the robot, at the last sub-step
-    before the tick. A force that is not renewed within its deadline lapses. A model that becomes unstable reads a place
+    with the pose that it begins in, `@KEYFRAME` or `@q=Q1,Q2,...` (see `slave.mujoco_pose`); `?gravcomp=0` behind all
+    leaves it its weight. Left out: an arm of this project between a wall and a table, of three joints, or of six for a
+    scene with a rotation. `notes` say in which pose it began, what was found when it was pressed against what it
+    touches, which contacts f_env does not count, and what MuJoCo warned of. f_env is the force of the contacts of the
+    end effector with what is not the robot, at the last sub-step before the tick, and about the axes of a rotation
+    their torque. A force that is not renewed within its deadline lapses. A model that becomes unstable reads a place
     beyond any bounds, so that the run has diverged. Raises `Refused`.
     """
 
@@ -226,7 +259,8 @@ FORCES = (2.0, 10.0)  # N or N m, at which it is told
 PART = 0.2  # of each: the stiffness is that between a force less and one more by so much
 APPROACH = 4.0  # N or N m, against ...
 DAMPING = {"m": 20.0, "rad": 2.0}  # ... so much, N s/m or N m s/rad
-SPRING = {"m": 1000.0, "rad": 50.0}  # N/m or N m/rad, which hold the other axes
+SPRING = {"m": 1000.0, "rad": 50.0}  # N/m or N m/rad, which hold the other axes,
+TURN = 0.1  # ... and so much of both for the turns of an end effector, which is lighter than joints
 REACH = {"m": 0.2, "rad": 0.6}  # how far from the start it is looked for
 LEAST_FRICTION = 0.5  # N or N m, that is worth a note
 SEEKS, SETTLES = 1.5, 0.4  # s, for the way there, and for each force
@@ -239,6 +273,8 @@ def pressed(model: Loaded, body: MuJoCoBody) -> list[str]:
     reached: dict[str, float] = {}
     friction = friction_notes(model, body)
     for i, unit in enumerate(model.units):
+        if model.turned and unit == "rad":  # what a tool twists is no wall
+            continue
         for sign in (1.0, -1.0):
             stiffness, way = _along(model, copy(body), i, sign)
             if stiffness is not None:
@@ -299,14 +335,15 @@ def _push(model: Loaded, body: MuJoCoBody, home: tuple[float, ...], i: int, forc
     `seeks`: it ends as soon as there is something, or beyond `REACH`.
     """
     unit = model.units
+    part = [TURN if model.turned and each == "rad" else 1.0 for each in unit]
     for _ in range(ticks):
         x, v, f = body.read()[:3]
         if not abs(x[i] - home[i]) < REACH[unit[i]]:
             return False
         if f is not None and seeks and abs(f[i] - force) < 0.2 * abs(force) and abs(v[i]) < 0.01:
             return True
-        held = [force if j == i else SPRING[unit[j]] * (home[j] - x[j]) for j in range(len(x))]
-        body.hold(tuple([each - DAMPING[unit[j]] * v[j] for j, each in enumerate(held)]))
+        held = [force if j == i else part[j] * SPRING[unit[j]] * (home[j] - x[j]) for j in range(len(x))]
+        body.hold(tuple([each - part[j] * DAMPING[unit[j]] * v[j] for j, each in enumerate(held)]))
         body.step()
     x, _, f = body.read()[:3]
     return f is not None and abs(f[i] - force) < 0.05 * abs(force)

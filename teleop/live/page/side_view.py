@@ -95,7 +95,9 @@ class SideView:
             self._mujoco.mj_kinematics(model, data)
             return
         target = self._target.copy()
-        target[self._model.axes] = [at + zero for at, zero in zip(positions, self._model.zero, strict=True)]
+        for i, at, zero in zip(self._model.axes, positions, self._model.zero, strict=True):
+            if i < len(target):  # its turns are not seen
+                target[i] = at + zero
         jacobian = np.zeros((3, model.nv))
         for _ in range(STEPS):
             self._mujoco.mj_kinematics(model, data)
