@@ -155,6 +155,7 @@ def test_a_slave_in_c_serves_a_master_through_a_channel_that_loses_and_is_killed
     assert all(map(lets_go_first, logs))
 
 
+@pytest.mark.full
 def test_a_master_in_c_goes_on_with_a_slave_that_is_killed_and_started_again(
     command: Start, in_c: InC, tmp_path: Path
 ) -> None:
@@ -213,6 +214,7 @@ def test_waves_and_what_they_come_to_add_up_between_an_end_in_c_and_either_of_ou
     assert all(one == other for one, other in played)
 
 
+@pytest.mark.full
 def test_a_message_is_played_at_its_tick_by_a_fixed_playout_whichever_end_is_in_c(
     command: Start, in_c: InC, tmp_path: Path
 ) -> None:
@@ -238,6 +240,7 @@ def test_a_message_is_played_at_its_tick_by_a_fixed_playout_whichever_end_is_in_
     assert holds_what_the_law_says(log, -1.0) > 20
 
 
+@pytest.mark.full
 def test_a_grid_that_begins_later_made_the_end_in_c_deaf_until_then(in_c: InC) -> None:
     """Tick 0 may be three minutes ahead: it slept until then, and took neither datagram nor SIGTERM."""
     slave = in_c.start("slave", 0, PP, "c.csv")

@@ -57,6 +57,7 @@ def test_a_way_that_grows_is_not_taken_for_a_clock() -> None:
     assert [clock_note(both.end(e).link) for e in "ms"] == [None, None]
 
 
+@pytest.mark.full
 def test_clocks_that_came_apart_in_an_earlier_session_are_told_of_too() -> None:
     """The two begin a new session when their grids are too far apart, and then everything of the clocks begins anew."""
     both = world(3000.0)
@@ -69,6 +70,7 @@ def test_clocks_that_came_apart_in_an_earlier_session_are_told_of_too() -> None:
     assert re.search(r"goes (2,9|3,0)\d\d ppm slower", note)
 
 
+@pytest.mark.full
 def test_the_summary_has_the_note(tmp_path: Path) -> None:
     both = world(3000.0)
     for e in "ms":

@@ -105,6 +105,7 @@ def test_a_stepped_demo_is_the_virtual_run_to_the_bit(knobs: dict[str, str], tmp
         assert written["x_s"].tobytes() == virtual.trace["x_s"].tobytes()
 
 
+@pytest.mark.full
 def test_a_demo_refused_the_rate_and_the_spin_that_its_ends_take(command: Start, tmp_path: Path) -> None:
     """And a scene may print what it likes: lines longer than any event are passed over, of stderr the end is kept."""
     (tmp_path / "loud.py").write_text(
@@ -178,6 +179,7 @@ def test_who_is_killed_is_said_and_the_others_stop_and_keep_their_records(
     assert all(gone(pid) for pid in started.values())
 
 
+@pytest.mark.full
 def test_on_a_terminal_one_line_is_written_over_itself(command: Start) -> None:
     """What a terminal is sent is carriage returns, text and colours: no other order, one line at the end."""
     ours, its = pty.openpty()
@@ -202,6 +204,7 @@ def test_on_a_terminal_one_line_is_written_over_itself(command: Start) -> None:
     assert re.search(r"\d%  (\d+ s left  )?(\w+ )?(SAFE|f )", frames[-1]), "how much is done, and the numbers behind it"
 
 
+@pytest.mark.full
 def test_every_row_of_a_demo_arrives_once_while_it_runs_and_the_stream_ends_with_it(
     command: Callable[..., Command], tmp_path: Path
 ) -> None:

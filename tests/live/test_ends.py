@@ -156,6 +156,7 @@ def test_a_port_in_use_and_a_peer_that_does_not_come_are_one_sentence_and_leave_
     nothing_left(tmp_path)
 
 
+@pytest.mark.full
 def test_whoever_waits_is_told_what_may_be_wrong_while_it_waits(command: Start) -> None:
     """A wrong port, keys at one end alone, or an older release was silence for ever at both."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
@@ -298,6 +299,7 @@ def test_a_disk_that_fills_up_stops_the_record_and_not_the_loop(command: Start, 
     assert left["packets"]["bwd"]["received"] > len(rows.ticks), "the loop went on"
 
 
+@pytest.mark.full
 def test_two_ends_that_are_reported_while_they_run_and_then_killed_lose_no_tick_for_it(
     command: Start, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

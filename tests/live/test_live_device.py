@@ -255,6 +255,7 @@ def test_two_machines_of_ones_own_run_live_with_a_clutch_and_again_to_the_bit(pa
     assert [one["k"] >= at for one, at in zip(told, (300, 600), strict=True)] == [True, True]
 
 
+@pytest.mark.full
 def test_the_device_of_the_examples_is_driven_against_its_stop(
     command: Callable[..., Command], tmp_path: Path
 ) -> None:
@@ -284,6 +285,7 @@ raise SystemExit(end_main("s", lambda scene: standing()))
     assert not list(tmp_path.glob("runs/*"))
 
 
+@pytest.mark.full
 def test_the_slave_of_a_live_run_is_the_arm_in_mujoco(command: Callable[..., Command], tmp_path: Path) -> None:
     """It presses the wall of its model, the master feels it, and its folder tells how stiff that is."""
     pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")

@@ -36,6 +36,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return top
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems tell the peak otherwise")
 def test_the_end_of_half_an_hour_took_more_than_a_gigabyte(run: Path) -> None:
     """1,285 MB for a master, 1,119 MB for a slave, 1,964 MB for both; later 389 MB for both, all columns at once.

@@ -87,6 +87,7 @@ def drift(said: list[tuple[float, str]]) -> float:
     return min(behind[-few:]) - min(behind[:few])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("form", [
     pytest.param(SHORT, id="short"),
     pytest.param(LONG, id="long", marks=[pytest.mark.soak, pytest.mark.timeout(2 * LONG.seconds + 300)]),

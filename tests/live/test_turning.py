@@ -130,6 +130,7 @@ def _column(folder: Path, name: str) -> tuple[Any, Any]:
     return np.rint(np.asarray(trace["t"]) * 1e3).astype(int), np.asarray(trace[name])
 
 
+@pytest.mark.full
 def test_an_end_that_is_told_to_be_idle_ends_its_record_and_the_next_turn_begins_another(story: Story) -> None:
     for e, end in ENDS.items():
         assert (story.idled / end / FILE).stat().st_size == story.sizes[end]

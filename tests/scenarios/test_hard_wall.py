@@ -50,6 +50,7 @@ def pressed() -> dict[tuple[float, float], Result]:
     return {(k_e, delay): run(load_scene("hard_wall", k_e=k_e, delay=delay)) for k_e in STIFF for delay in DELAYS}
 
 
+@pytest.mark.full
 def test_over_other_delays_and_walls_it_is_as_the_page_says(pressed: dict[tuple[float, float], Result]) -> None:
     assert told("delay each way") == [
         *([f"{pressed[k_e, delay].metrics['f_m_end']:.2f} N" for delay in DELAYS] for k_e in STIFF),

@@ -117,6 +117,7 @@ def test_the_smallest_is_that_of_the_whole_record_and_no_way_gave_more_than_its_
         assert min(got.metrics.get("E_fwd_min", 0.0), got.metrics.get("E_bwd_min", 0.0)) >= LOW, knobs
 
 
+@pytest.mark.full
 def test_over_the_same_links_messages_that_are_held_in_the_gaps_make_energy(few: Drawn) -> None:
     """What nobody claims: the links and motions are such that a wave played twice shows."""
     rows = [(n, held(knobs), seed) for n, knobs, seed in few.rows[:60]]
@@ -145,6 +146,7 @@ def overdrafts(rows: Rows) -> list[tuple[float, dict[str, Any]]]:
     return found
 
 
+@pytest.mark.full
 def test_where_ticks_are_left_out_no_more_is_owed_than_was_held_over_one_wait_each_way(few: Drawn) -> None:
     """A force is held over ticks that are left out, and so is the wave; that is paid before another is played."""
     assert [each for each in overdrafts(few.rows[:60]) if not each[0] <= -LOW] == []

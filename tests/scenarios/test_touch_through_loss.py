@@ -78,6 +78,7 @@ def test_a_steady_force_stays_where_both_ends_leave_out_ticks(left_out: float) -
     assert kept["E_link_min"] >= -1e-9
 
 
+@pytest.mark.full
 def test_the_gains_of_the_scene_keep_their_force_too() -> None:
     whole = load_scene("hard_wall")
     for changed in ({"link": LINKS["10 %"]}, {"left_out": 0.1}):
@@ -92,6 +93,7 @@ def statics(ways: float) -> float:
     return PUSH / (1.0 / K_H + 1.0 / GAINS["law.K"] + 1.0 / K_E + ways / (2.0 * GAINS["law.b"]))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("delay", "queue", "computed"), [
     (0.05, 0.003, 0.894188), *(pytest.param(*each, marks=pytest.mark.full) for each in (
         (0.01, 0.0, 2.489627), (0.05, 0.0, 0.936037), (0.2, 0.0, 0.280243), (0.01, 0.003, 2.214022),
@@ -118,6 +120,7 @@ def test_what_a_bad_link_takes_of_the_force_is_its_delay_with_the_queues_and_not
 # -- tracking, and rest
 
 
+@pytest.mark.full
 def test_tracking_over_loss_is_that_without() -> None:
     def error(link: str, seed: int = 1, playout: str = "integral") -> float:
         return run(load_scene("canonical", link=LINKS[link], playout=playout), seed=seed).metrics["x_err_rms"]
@@ -128,6 +131,7 @@ def test_tracking_over_loss_is_that_without() -> None:
         assert error("10 %", seed, "zero") > 2.0 * whole
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("link", ["delay(0.04) | uniform(0.02) | bernoulli(0.3)",
                                   pytest.param("delay(0.05) | bernoulli(0.3)", marks=pytest.mark.full)])
 def test_after_a_move_through_loss_the_slave_comes_to_rest_where_the_master_is(link: str) -> None:

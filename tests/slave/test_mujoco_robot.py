@@ -317,6 +317,7 @@ def depth(force: float) -> float:
     return body.read().x[0]
 
 
+@pytest.mark.full
 def test_a_stiffness_is_the_slope_of_force_over_depth_at_two_forces_and_goes_with_the_files_contact(
     tmp_path: Path
 ) -> None:

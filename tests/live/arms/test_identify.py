@@ -64,6 +64,7 @@ def test_the_numbers_of_a_servo_are_found_within_their_uncertainty_and_its_reach
             assert found.errors[name] < 0.05 * true, name
 
 
+@pytest.mark.full
 def test_a_joint_that_is_stuck_is_no_servo() -> None:
     wanted = goals(0.1, 0.0)
     dice = np.random.Generator(np.random.Philox(1))

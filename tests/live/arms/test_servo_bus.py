@@ -108,7 +108,8 @@ def test_a_servo_that_is_too_hot_makes_the_chain_limp_until_it_is_cool(
     bus = opened(answered(lambda: BUSES[kind](joints(), servos.port)))
 
     def drives() -> bool:
-        bus.goal((0.1, 0.1))
+        with suppress(DeviceError):  # of a stand-in that is late on a busy machine
+            bus.goal((0.1, 0.1))
         return all(servos.get(each, servos.torque, 1) for each in (1, 2))
 
     until(drives)

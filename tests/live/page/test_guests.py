@@ -195,6 +195,7 @@ def said(browser: Browser) -> list[str]:
     return [message["text"] for message in browser.got if message["type"] == "said"]
 
 
+@pytest.mark.full
 def test_floods_and_garbage_are_told_once_and_the_page_closed_while_another_is_shown_its_rows(served: Serve) -> None:
     """Empty parts without an end, and pings among them, were no messages."""
     async def scenario(page: Served) -> None:

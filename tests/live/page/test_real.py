@@ -119,6 +119,7 @@ def _is_what_the_sensor_felt(folder: Path, r: np.ndarray[Any, Any]) -> None:
     np.testing.assert_allclose(again, felt[follows], rtol=0.0, atol=1e-12)  # N, of up to 10; the rest is rounding
 
 
+@pytest.mark.full
 def test_the_browser_is_opened_if_it_is_asked_for_and_an_end_before_that_leaves_what_was_recorded(
     tmp_path: Path
 ) -> None:

@@ -68,6 +68,7 @@ def unbooked(monkeypatch: pytest.MonkeyPatch) -> Any:
         ("self.B * facts.held > facts.mass_s", "self.B * facts.held > 2.0 * facts.mass_s"))
 
 
+@pytest.mark.full
 def test_a_coupling_whose_hold_is_not_booked_passes_the_trials_and_is_found_by_the_search(unbooked: Any) -> None:
     try_claims(unbooked)
     with pytest.raises(Refused, match=r"claims E_law, but at tick \d+ its slave keeps .* J more than came in") as got:

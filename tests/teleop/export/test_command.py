@@ -125,6 +125,7 @@ def test_a_file_that_comes_meanwhile_is_not_overwritten(typed: Typed, here: Path
     assert (here / "run.csv").read_text() == "mine"
 
 
+@pytest.mark.full
 @NEEDS_MCAP
 def test_memory_does_not_go_with_the_length_of_the_run(tmp_path: Path) -> None:
     """A run of half as much again takes hardly more: chunk indices, and the times of a block."""

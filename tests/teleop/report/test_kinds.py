@@ -42,6 +42,7 @@ def of(folder: str) -> Page:
     return shown
 
 
+@pytest.mark.full
 def test_of_a_comparison_has_its_table_and_a_map_of_how_cases_ended_and_nothing_of_a_sweep(typed: Typed) -> None:
     Path("small.toml").write_text(SMALL)
     compared = typed("compare", "small.toml", "--laws", "wave,direct", "--workers", "1").out
@@ -79,6 +80,7 @@ class TestASweepOfOtherAxes:
 
 
 class TestAStudy:
+    @pytest.mark.full
     def test_of_precision_has_its_methods_and_error_over_run_time(
             self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.importorskip("mpmath")
@@ -91,6 +93,7 @@ class TestAStudy:
         assert titles(shown) == ["Error over run time"]
         assert {"exact", "rk4/1", "semi_implicit_euler/4"} <= {*shown.texts}
 
+    @pytest.mark.full
     def test_of_tune_has_its_front(self, typed: Typed) -> None:
         typed("tune", "wave", "--scene", "hard_wall", "--set", "duration=2.5", "--budget", "8", "--workers", "1",
               "--out", "t")
@@ -108,6 +111,7 @@ class TestAStudy:
             *of("s").texts}
         typed("report", "s", "--rows", "3").assert_refused("what teleop stability found", "leave it out")
 
+    @pytest.mark.full
     def test_of_an_analysis_had_no_figure(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("teleop.analysis.stability.report.PLACES", 4)
         typed("passivity", "soft_tissue", "--set", "law=direct", "--out", "two")

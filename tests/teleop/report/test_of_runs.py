@@ -101,6 +101,7 @@ class TestOne:
         nothing = replace(canonical, trace={name: column[:0] for name, column in canonical.trace.items()}, ticks=0)
         assert of(told(nothing)).figures == []
 
+    @pytest.mark.full
     def test_six_joints_have_a_panel_each_on_a_scale_of_its_own_and_three_of_several_runs(self, joints: Result) -> None:
         shown = of(told(joints))
         titles = [figure.findtext(f"{SVG}title") for figure in shown.figures]

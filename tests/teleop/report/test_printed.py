@@ -45,6 +45,7 @@ OVERLAPPING = """[...document.querySelectorAll('svg')].flatMap(svg => {
 })"""
 
 
+@pytest.mark.full
 def test_a_page_of_parts_parted_numbers_from_their_units_and_was_as_narrow_as_a_column_of_text(tmp_path: Path) -> None:
     results = [run(load_scene("hard_wall", duration=0.8, **knobs)) for knobs in (
         {"law": "wave"}, {"law": "tdpa"}, {"law": "direct", "delay": 0.15}, {"law": "iss", "k_e": 4000.0})]

@@ -174,6 +174,7 @@ def test_a_wall_that_is_pressed_through_jitter_is_no_limit_cycle() -> None:
     assert run(load_scene("hard_wall", link=rough, law="direct")).status == "limit cycle"
 
 
+@pytest.mark.full
 def test_the_swing_of_joints_was_told_in_m() -> None:
     cases: list[tuple[dict[str, Any], str]] = [
         ({"delay": 0.1, "duration": 9.0}, "unstable"), ({"delay": 0.1}, "ok"), ({"x_limit": 0.5}, "diverged")]

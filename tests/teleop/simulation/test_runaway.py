@@ -59,6 +59,7 @@ def runaway(**parts: Any) -> Case:
     return case
 
 
+@pytest.mark.full
 def test_of_a_slave_ends_with_a_report_of_the_ticks_that_missed_the_tolerance() -> None:
     device = Device(encoder=Encoder(step=1e-3), velocity=Levant(L=1.0))
     for name, friction in product(MET, (0.0, 1.0)):

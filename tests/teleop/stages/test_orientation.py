@@ -72,6 +72,7 @@ def test_after_a_tumble_the_ends_stand_alike_and_not_only_their_angles(name: str
     assert apart(counted(flat["x_m"]), counted(flat["x_s"]))[-1] > 0.03
 
 
+@pytest.mark.full
 def test_waves_keep_an_offset_of_orientations_which_ties_between_these_draw_back_in_part() -> None:
     """Of the offset o that reflections leave, o/(1 + K_p (1/K + (T1 + T2)/(2 b))) at the most: see `wave_position`."""
     left = {name: apart(*[orientations(run(tumbling(law=law, duration=9.0)).trace, e) for e in "ms"])[-1]

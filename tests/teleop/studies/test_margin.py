@@ -42,6 +42,7 @@ def test_the_gain_margin_is_the_factor_on_the_force_that_is_fed_back() -> None:
     assert found.where == "in contact"
 
 
+@pytest.mark.full
 def test_axes_with_parts_of_their_own_have_the_margins_of_the_worst() -> None:
     own = stability(load_scene("pose", f_max=None, slew=None, k_e=0.0, d_e=0.0))
     assert gain_margin(run(load_scene("pose", duration=0.02))) == own.gain_margin  # its wall takes none
@@ -65,6 +66,7 @@ def test_small_motion_is_judged_without_caps_encoders_and_friction_and_a_passive
     assert margin(load_scene("encoder_wall", step=1e-4)) == margin(load_scene("encoder_wall", step=1e-6))
 
 
+@pytest.mark.full
 def test_a_link_that_varies_is_taken_for_its_median_age_and_the_queue() -> None:
     law = {"law": "p_d", "law.B": 30.0}
     varied = load_scene("hard_wall", link="delay(0.03) | uniform(0.02) ; delay(0.01) | bernoulli(0.3)", **law)

@@ -166,6 +166,7 @@ class TestTheRows:
         assert rows(far) == rows(sweep("own.py", {"k_e": [100.0, 200.0, -1.0]}))
         assert far.counts() == {"ok": 2, "refused": 1}
 
+    @pytest.mark.full
     def test_outlive_a_worker_that_is_killed(self, rig: Rig, tmp_path: Path, small: None) -> None:
         """What it held is asked for once more."""
         kill, before = Killer(rig), rig.tasks()
@@ -199,6 +200,7 @@ class TestTheRows:
 class TestTheCommand:
     WORDS = ("soft_tissue", "--grid", "law=wave,direct", "delay=0:0.04:3", "--seeds", "2", "--set", "duration=0.2")
 
+    @pytest.mark.full
     def test_leaves_the_folder_that_threads_leave(self, rig: Rig, tmp_path: Path) -> None:
         out, err = typed(tmp_path, *self.WORDS, "--cluster", rig.address.removeprefix("tcp://")).communicate()
         assert err == ""
@@ -214,6 +216,7 @@ class TestTheCommand:
         told = json.loads(again.communicate()[0])
         assert (told["ran"], told["cluster"]) == (0, {"address": rig.address, "workers": 0})
 
+    @pytest.mark.full
     def test_interrupted_leaves_nothing_behind_at_the_scheduler(self, rig: Rig, tmp_path: Path) -> None:
         before = rig.tasks()
         words = ["soft_tissue", "--seeds", "1000", "--set", "duration=1", "--engine", "plain", "--out", "s"]
@@ -359,6 +362,7 @@ class TestAFrailCluster:
             sweep("soft_tissue", fixed=FIXED, metrics=[deadly], executor=rig.client.get_executor())
         until(lambda: not rig.client.nthreads())
 
+    @pytest.mark.full
     def test_without_a_worker_is_waited_for_and_given_up(self, rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
         rig.kill_workers()
         monkeypatch.setattr(cluster, "WORKERLESS", 3.0)
@@ -370,6 +374,7 @@ class TestAFrailCluster:
         assert [said in sentence for sentence in told] == [True]
         until(lambda: rig.tasks() <= before)
 
+    @pytest.mark.full
     def test_whose_worker_has_another_teleop_is_refused(self, rig: Rig, tmp_path: Path) -> None:
         rig.kill_workers()
         (tmp_path / "teleop").mkdir()
@@ -378,6 +383,7 @@ class TestAFrailCluster:
         with pytest.raises(Refused, match=r"lacks teleop.*pip install bilateral-teleop=="):
             sweep("soft_tissue", fixed=FIXED, executor=rig.client.get_executor())
 
+    @pytest.mark.full
     def test_that_is_lost_loses_no_row(self, rig: Rig, tmp_path: Path, small: None) -> None:
         def end(done: int, _: int) -> None:
             if done >= 10:

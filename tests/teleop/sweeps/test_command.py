@@ -200,6 +200,7 @@ class TestReport:
         assert json.loads(swept("report", str(FOLDER), "--json").out) == stored
         assert not (FOLDER / "sweep.png").exists()
 
+    @pytest.mark.full
     def test_with_another_metric_leaves_the_picture_of_the_first(self, swept: Typed) -> None:
         pytest.importorskip("matplotlib")
         for metric, name in (("x_err_rms", "sweep.png"), ("f_m_max", "sweep-2.png"), ("x_err_rms", "sweep.png")):

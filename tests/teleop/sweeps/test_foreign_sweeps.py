@@ -183,6 +183,7 @@ def test_a_table_of_very_many_knobs_is_refused_a_picture_before_it_is_looked_for
         thinned([2] * 40, 6, [True] * 40)
 
 
+@pytest.mark.full
 def test_a_map_of_more_cells_than_a_picture_has_room_for_takes_no_gigabytes(
     tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

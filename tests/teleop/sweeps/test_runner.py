@@ -258,6 +258,7 @@ def test_the_usual_figures_are_those_that_any_law_of_the_grid_has() -> None:
         assert "E_link_min" in plan_sweep("canonical", {"law": laws}).definition()["metrics"]
 
 
+@pytest.mark.full
 def test_rows_that_grow_dear_are_not_handed_out_by_the_thousand() -> None:
     """The first half of the rows takes nothing, for they are refused at once."""
     sizes: list[int] = []
@@ -434,6 +435,7 @@ def scene(*, forth: int = 1, back: int = 1, k: float = 400.0, duration: float = 
 '''
 
 
+@pytest.mark.full
 @ENGINES
 def test_the_delay_margin_of_two_handles(engine: str | None, tmp_path: Path) -> None:
     """Position-force at 1 kHz is first unstable at a round trip of 9 ticks; on the stiff wall at the least there is."""

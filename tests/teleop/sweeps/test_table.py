@@ -280,6 +280,7 @@ class TestText:
 
 
 class TestSize:
+    @pytest.mark.full
     def test_is_that_of_the_numbers(self) -> None:
         """A row of 5 knobs and 3 metrics takes about 100 bytes, twice that while the table is made."""
         knobs, metrics = tuple("abcde"), tuple("xyz")

@@ -99,6 +99,7 @@ def test_show_prints_the_loop_of_a_scene_or_a_live_end_as_python_that_compiles(t
     assert "observe(" in out
 
 
+@pytest.mark.full
 def test_a_report_draws_only_if_it_is_asked_to_and_can_write_and_names_the_file(
         typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")

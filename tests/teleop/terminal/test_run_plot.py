@@ -161,6 +161,7 @@ class TestUnderLoss:
         assert (bins.mean[-1], bins.least[-1], bins.greatest[-1]) == (0.5, 0.0, 1.0)
 
 
+@pytest.mark.full
 def test_the_file_of_a_run_that_diverged_with_dollar_signs_is_drawn_without_the_state_of_pyplot(
         wave: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They are no formula, and an infinite value is no scale."""

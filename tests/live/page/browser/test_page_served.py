@@ -45,6 +45,7 @@ def test_a_drag_reaches_the_master_and_a_law_is_switched_while_it_is_held(
     assert [part["knobs"].get("law", "wave") for part in index["parts"]] == ["wave", "wave_filter"]
 
 
+@pytest.mark.full
 def test_a_page_whose_demo_was_started_again_comes_back_by_itself(tmp_path: Path, tab: Callable[..., Page]) -> None:
     """It had another port and another token, and the browser was shown the old ones for ever."""
     tmp_path.chmod(0o700)

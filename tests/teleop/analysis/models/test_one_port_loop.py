@@ -83,6 +83,7 @@ class TestTheLoop:
 class TestALongDelay:
     """Of the computation: kept as a number, as the link's is in a scene with a slave."""
 
+    @pytest.mark.full
     def test_has_the_roots_of_the_dense_model(self) -> None:
         for K, delay in ((30.0, 40), (5.0, 100), (300.0, 57)):
             got = stability(scene(K, delay=delay))

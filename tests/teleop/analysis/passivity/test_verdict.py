@@ -34,6 +34,7 @@ def inside(scene: Scene, corners: Any = None, scale: float = 1.0) -> bool | None
 
 
 class TestAgreesWithTheZWidth:
+    @pytest.mark.full
     @pytest.mark.parametrize(("step", "friction", "delay"), [
         (None, 0.1, 2), (D, 0.06, 1), *(pytest.param(*numbers, marks=pytest.mark.full) for numbers in (
             (None, 0.0, 0), (D, 0.0, 0), (D, 0.02, 0), (D, 1.0, 0))),

@@ -86,6 +86,7 @@ class TestTheReference:
         _, _, steps = run_in_digits(scene, 0)
         assert steps.changes >= unseen.sum() > 0
 
+    @pytest.mark.full
     def test_an_error_that_may_be_the_references_own_is_shown_as_a_bound(self, struck: Precision) -> None:
         truth = replace(struck.truth, off={name: 10.0 * error.max for name, error in struck.entries[0].errors.items()})
         coarse = replace(struck, truth=truth)
@@ -184,6 +185,7 @@ class TestAComparison:
         assert np.isnan(along["x_err"][:2]).all()
         assert np.nanmax(along["x_s:euler/1"]) == by_key(struck)["euler/1"].errors["x_s"].max
 
+    @pytest.mark.full
     def test_a_long_run_keeps_the_largest_error_of_every_stretch_and_progress_goes_from_nothing_to_all(
         self, quick: None, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -196,6 +198,7 @@ class TestAComparison:
         assert shown == sorted(shown)
         assert (shown[0], shown[-1]) == (0.0, 1.0)
 
+    @pytest.mark.full
     def test_what_diverges_or_misses_is_marked_and_kept(self, quick: None) -> None:
         hard = strike(environment=Wall(k=1e9, d=0.0, at=1e-3), duration=0.2)
         got = measure(hard, clock=count(0, 1000).__next__, rounds=1)
@@ -213,6 +216,7 @@ class TestAComparison:
         assert told["errors"]["x_s"]["end"] is None
         json.dumps(summary(got), allow_nan=False, default=str)
 
+    @pytest.mark.full
     def test_a_scene_that_diverges_by_itself_is_compared_up_to_there(self, quick: None) -> None:
         got = measure(strike(law=Direct(K=2000.0, B=8.0, kf=3.0), link=Delay(0.05), duration=3.0, x_limit=10.0,
                              environment=Tissue(k=2000.0, d=0.0)), clock=count(0, 1000).__next__, rounds=1)
@@ -304,6 +308,7 @@ class TestTheCommand:
         with np.load(tmp_path / "here" / "errors.npz") as arrays:
             assert {"t", "x_err", "f_err", "x_s:exact", "f_env:radau/64"} <= set(arrays)
 
+    @pytest.mark.full
     def test_one_axis_of_several_is_told_in_its_units(self, typed: Typed, quick: None, tmp_path: Path) -> None:
         code, out, _ = typed("precision", "pose", "--set", "duration=0.05", "--rounds", "1", "--out",
                              str(tmp_path / "p"), "--axis", "rx")

@@ -196,6 +196,7 @@ class TestTheDominantMode:
 
 
 class TestALongDelay:
+    @pytest.mark.full
     def test_of_three_thousand_samples_each_way_needs_no_matrix_of_that_size(self) -> None:
         tracemalloc.start()
         try:
@@ -220,6 +221,7 @@ class TestALongDelay:
         assert round(found.mode.frequency, 3) == 3.017
         assert round(found.mode.growth, 4) == 0.0020
 
+    @pytest.mark.full
     @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(2, 8))])
     def test_has_the_dominant_mode_that_its_equation_has(self, seed: int) -> None:
         """Tissue, coupling and 0.3 to 16 s of delay at random; the edge of stability among them."""
@@ -330,6 +332,7 @@ class TestVirtualTime:
         assert found.amplitude is not None
         assert 1e-5 < found.amplitude < 1e-2
 
+    @pytest.mark.full
     def test_looks_where_the_slave_touches(self) -> None:
         """In free space this scene is stable; pressed against its wall it bounces for ever."""
         scene = load_scene("hard_wall", law="direct")
@@ -364,6 +367,7 @@ class TestTheCommand:
             settings = ["--set", "law=direct", "--set", f"k_e={factor * edge}"]
             assert json.loads(typed("stability", "soft_tissue", *settings, "--json").out)["verdict"] == verdict
 
+    @pytest.mark.full
     def test_finds_a_knob_of_the_law_takes_another_link_and_has_its_unit(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -385,12 +389,14 @@ class TestTheCommand:
         assert (told["verdict"], told["method"]) == ("limit cycle", "virtual time")
         assert number("frequency", told["frequency"], above=0.0) == pytest.approx(3.14, abs=0.01)
 
+    @pytest.mark.full
     def test_finds_a_critical_value_in_virtual_time(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(report, "PLACES_IN_TIME", 4)  # and none so near the edge that its run is long
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--time", "--critical", "delay",
                        "--range", "0.005:0.05", "--tol", "4e-3", "--json")
         assert json.loads(answer.out)["critical"]["value"] == pytest.approx(0.0145, abs=2e-3)
 
+    @pytest.mark.full
     def test_said_nothing_while_it_searched_and_lost_all_by_an_interrupt(
         self, typed: Typed, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -438,6 +444,7 @@ class TestTheCommand:
         assert all(0.0 < part <= 1.0 for part, _ in lines)
         assert re.fullmatch(r"k_e = .* N/m is (un)?stable; changes between 460\.\d+ and 460\.\d+", lines[-2][1])
 
+    @pytest.mark.full
     @pytest.mark.parametrize("duration", ["1.5", pytest.param("10", marks=pytest.mark.full)])
     def test_behind_an_encoder_names_the_lowest_that_hums_however_long_the_runs(
         self, typed: Typed, duration: str

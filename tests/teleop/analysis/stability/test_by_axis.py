@@ -54,6 +54,7 @@ def test_axes_that_a_law_couples_are_judged_together() -> None:
     assert stability(replace(load_scene("soft_tissue", **knobs), axes=2)).axes == ()
 
 
+@pytest.mark.full
 def test_all_that_stands_in_the_way_is_named_at_once_and_what_is_told_to_type_takes_it_away() -> None:
     for scene, law, words in (
         ("leader_follower", "pp", "a force cap and Coulomb friction are not linear"),
@@ -67,6 +68,7 @@ def test_all_that_stands_in_the_way_is_named_at_once_and_what_is_told_to_type_ta
         assert ask(scene, {**knobs, **typed}).sentence == "stable: no root outside the unit circle"
 
 
+@pytest.mark.full
 def test_the_answer_names_the_axes() -> None:
     weak = (300.0, 375.0, 150.0, 300.0, 25.0, 10.0)  # ten times the forearm's
     answer = ask("leader_follower", {**LINEAR, "law.K": ",".join(map(str, weak))})

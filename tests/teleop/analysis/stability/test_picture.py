@@ -74,6 +74,7 @@ class TestTheOpenLoop:
 
 
 class TestTheRoots:
+    @pytest.mark.full
     def test_have_the_dominant_mode_and_all_that_grow(self) -> None:
         for delay in (0.005, 0.5):
             scene = load_scene("soft_tissue", law="direct", delay=delay)
@@ -112,12 +113,14 @@ class TestTheCommand:
             assert told["critical"]["value"] in arrays["swept_values"]
             assert arrays["L"].shape == (len(arrays["frequency"]), 1)
 
+    @pytest.mark.full
     def test_draws_what_nothing_closes_and_what_has_no_open_loop(self, typed: Typed, tmp_path: Path) -> None:
         for folder, *arguments in (("open", "free_motion", "--set", "law=direct"),
                                    ("slow", "virtual_wall", "--set", "every=3")):
             assert typed("stability", *arguments, "--plot", "--out", folder).code == 0
             assert (tmp_path / folder / "stability.png").read_bytes().startswith(b"\x89PNG")
 
+    @pytest.mark.full
     def test_keeps_the_critical_value_when_the_margins_over_the_knob_are_interrupted(
         self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:

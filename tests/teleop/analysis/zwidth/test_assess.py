@@ -38,6 +38,7 @@ def found() -> ZWidth:
         return assess(load_scene("virtual_wall"))
 
 
+@pytest.mark.full
 def test_of_several_axes_one_is_asked(found: ZWidth, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second axis is the built-in wall, the first another."""
     one = load_scene("virtual_wall")
@@ -92,6 +93,7 @@ class TestLevers:
             row = rows(found)[name]
             assert row["K_at_rest"] == pytest.approx(row["stable_K"], rel=0.05), name
 
+    @pytest.mark.full
     def test_an_encoder_is_made_finer_and_coarser_and_left_out(self) -> None:
         got = theory(load_scene("virtual_wall", step=2e-5, friction=0.01))
         own = rows(got)
@@ -101,6 +103,7 @@ class TestLevers:
         assert any("its encoder, its Coulomb friction" in note for note in got.notes)
         assert any("electrical damping left out" in note for note in got.notes)
 
+    @pytest.mark.full
     def test_a_scene_with_a_controller_has_the_row_without(self, monkeypatch: pytest.MonkeyPatch) -> None:
         scene = load_scene("encoder_wall", every=5, cap=0.8)
         own = rows(theory(scene))
@@ -111,6 +114,7 @@ class TestLevers:
         own = rows(assess(scene, span_B=Span(0.0, 0.1)))
         assert (own["as it is"]["K_at_rest"] or 0.0) > 1.5 * (own["no controller"]["K_at_rest"] or 1e9)
 
+    @pytest.mark.full
     def test_a_coupled_scene_is_asked_too(self, monkeypatch: pytest.MonkeyPatch) -> None:
         scene = load_scene("virtual_coupling")
         both = [lever for lever in levers(scene) if lever.name in ("as it is", "no coupling")]
@@ -186,6 +190,7 @@ class TestInterrupt:
         with pytest.raises(KeyboardInterrupt):
             assess(load_scene("virtual_wall"), show=stop)
 
+    @pytest.mark.full
     def test_progress_goes_from_nothing_to_all_and_never_back(self, short: None) -> None:
         parts: list[float] = []
         assess(load_scene("virtual_wall"), show=lambda *told: parts.append(told[0]))
@@ -354,6 +359,7 @@ raise SystemExit(main(["zwidth", "virtual_wall", "--out", "here", "--plot", "--r
 class TestSignal:
     """A real Ctrl-C at a process that draws: sent as soon as a file is seen."""
 
+    @pytest.mark.full
     @pytest.mark.parametrize(("seen", "taps"), [
         ("plane.png", 1), *(pytest.param(*each, marks=pytest.mark.full) for each in (
             ("summary.json", 1), ("summary.json", 3), ("impedance.png", 2)))])

@@ -66,6 +66,7 @@ def test_a_slow_controller_is_asked_up_to_half_its_rate_only() -> None:
     assert got.area == pytest.approx((got.gap or 0.0) * log10(500.0))
 
 
+@pytest.mark.full
 def test_no_point_of_the_passive_region_is_above_the_upper_curve() -> None:
     scene = handle(delay=3)
     corners = np.array(passive_region(scene).corners)

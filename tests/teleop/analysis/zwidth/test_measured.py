@@ -54,6 +54,7 @@ def test_up_to_what_is_found_all_that_were_tried_rest() -> None:
     assert min(stiffness for stiffness, rested in tried if not rested) < 1.01 * K
 
 
+@pytest.mark.full
 def test_it_is_looked_for_within_the_range_alone() -> None:
     scene = let_go(load_scene("virtual_wall"))
     asked: list[int] = []

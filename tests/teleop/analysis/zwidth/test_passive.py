@@ -66,10 +66,12 @@ class TestSpringAndDamper:
         for b, T in ((0.8, 1e-3), (5.0, 1e-3), (0.1, 1e-2), (2.0, 1e-4)):
             assert corners(handle(b=b, dt=T)) == pytest.approx(np.array([(2.0 * b / T, 0.0), (0.0, b)]), rel=1e-9)
 
+    @pytest.mark.full
     def test_points_of_which_the_damping_is_known_lie_on_its_edge(self) -> None:
         for K, B, d, b in ((800.0, 0.4, 0, 0.8), (1000.0, 0.5, 1, 1.25), (1000.0, 0.5, 5, 5.0)):
             assert inside(corners(handle(b=b, delay=d)), (K, B)) == pytest.approx(1.0, rel=5e-5)
 
+    @pytest.mark.full
     def test_with_delay_every_corner_needs_all_of_the_damping_and_no_point_inside_more(self) -> None:
         for d in (1, 40):
             shape = corners(handle(delay=d))
@@ -89,6 +91,7 @@ class TestSpringAndDamper:
         assert region.stiffest is not None
         assert region.stiffest > 1.2 * stiffest_alone(region)
 
+    @pytest.mark.full
     def test_it_grows_with_the_damping_and_with_the_rate_as_dimensions_ask(self) -> None:
         own = corners(handle(delay=2))
         for other, scale in ((handle(b=2.4, delay=2), (3.0, 3.0)), (handle(dt=5e-4, delay=2), (2.0, 1.0))):
@@ -103,6 +106,7 @@ class TestFilterAndSlowForce:
         assert needed == pytest.approx([0.8] * len(needed), rel=1e-7)
         assert shape[-1, 1] > 5.0  # of a damper that is slow at the frequencies where it would be too strong
 
+    @pytest.mark.full
     def test_a_force_renewed_slowly_has_the_region_of_its_own_condition(self) -> None:
         for d in (0, 2):
             shape = corners(handle(every=3, delay=d))
@@ -199,6 +203,7 @@ class TestOthers:
         shape = corners(handle(law=VirtualCoupling()))
         assert shape == pytest.approx(np.array([(1600.0, 0.0), (0.0, 0.8)]), rel=1e-6, abs=1e-6)
 
+    @pytest.mark.full
     def test_behind_a_coupling_with_delay_any_environment_costs_more_than_a_rigid_one(self) -> None:
         free, rigid = corners(handle(law=VirtualCoupling(), delay=2)), corners(handle(delay=2))
         assert all(inside(rigid, (K, B)) < 1.0 + 1e-4 for K, B in free)

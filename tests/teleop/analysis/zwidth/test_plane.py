@@ -107,6 +107,7 @@ class TestEdge:
 
 
 class TestRegion:
+    @pytest.mark.full
     def test_what_is_passive_is_stable_in_any_hand(self) -> None:
         for d in (0, 7):
             corners = np.array(passive_region(handle(delay=d)).corners)

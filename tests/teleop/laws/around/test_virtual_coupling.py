@@ -14,6 +14,7 @@ from tests.engines.engines import one_lane_after_the_other
 WAVES = {0.0: 3.9736, 0.05: 0.936037}  # N, pressed for ever by hard_wall: without a coupling, see test_touch
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("stages", "law"), [
     ("virtual_coupling", Wave()), ("guard | virtual_coupling", Direct()), *[
         pytest.param(stages, law, marks=pytest.mark.full) for stages in ("virtual_coupling", "guard | virtual_coupling")
@@ -22,6 +23,7 @@ def test_it_stands_around_every_kind_of_law(stages: str, law: Any) -> None:
     check_law(around(stages, law), compiled=False)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("delay", "K"), [(0.0, 400.0), (0.05, 100.0)])
 def test_pressed_for_ever_it_is_a_spring_in_series(delay: float, K: float) -> None:
     """f = way/(sum of all that gives way), so the coupling adds 1/K to what the waves alone leave of 30 mm."""

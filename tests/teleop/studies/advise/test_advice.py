@@ -29,6 +29,7 @@ def found() -> Advice:
     return advise("hard_wall", 36, fixed=FIXED, laws=["direct", "wave", "virtual_wall"], workers=1)
 
 
+@pytest.mark.full
 def test_the_jumps_are_those_of_the_force_that_the_run_has(found: Advice) -> None:
     """The advised law jumped by newtons from tick to tick, and the page said nothing of it."""
     best = found.best

@@ -84,6 +84,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 STOPPED = [*WALL, "--set", "duration=1.6", "--laws", "wave,direct", "--budget", "24"]
 
 
+@pytest.mark.full
 @pytest.mark.live
 @pytest.mark.parametrize("signal_", [
     signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.full), signal.SIGKILL])
@@ -103,6 +104,7 @@ def test_an_advice_that_was_stopped_by_a_signal_began_anew(
     assert sorted(rows(tmp_path / "a")) == sorted(rows(undisturbed))
 
 
+@pytest.mark.full
 @pytest.mark.live
 def test_the_lines_that_are_printed_start_the_answer_live(process: Any, ended: Any, tmp_path: Path) -> None:
     words = ["advise", "--link", "delay(0.01) | uniform(0.004) | bernoulli(0.02)", "--wall", "1000", "--set",

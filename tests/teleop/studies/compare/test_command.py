@@ -137,6 +137,7 @@ def test_another_comparison_is_not_mixed_into_the_folder_and_a_refused_one_write
     assert not Path("runs").exists()
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("empty")
 def test_a_law_of_the_users_own_stands_in_the_table_and_figures_are_drawn_one_a_question(capsys: Capture) -> None:
     pytest.importorskip("matplotlib")
@@ -156,6 +157,7 @@ def test_a_swing_that_stays_at_the_wall_or_a_motion_that_law_and_link_feed_is_no
     assert ending_of(run(load_scene("hard_wall", link="delay(0.05)", duration=3.5))) == ("ok", "")
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("empty")
 def test_tuned_laws_run_everywhere_with_what_tune_finds_for_each_link(capsys: Capture) -> None:
     assert compare("--tuned", "8", "--json") == 0

@@ -33,6 +33,7 @@ def test_it_leaves_its_points_its_front_and_the_command_that_runs_the_best(
     assert summary["metrics"]["x_err_rms"]["value"] == document["figures"]["scene"]["x_err_rms"]
 
 
+@pytest.mark.full
 def test_a_best_point_that_breaks_a_condition_of_its_law_says_so_before_it_is_run(
         tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [{"wave": "p_d", "12": "40"}.get(word, word) for word in TYPED]

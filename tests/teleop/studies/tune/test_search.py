@@ -69,6 +69,7 @@ def test_a_search_that_is_given_its_points_runs_none_and_ends_with_the_same(
         tuned(known=KEPT[:-1])
 
 
+@pytest.mark.full
 def test_a_link_that_draws_is_checked_with_other_seeds() -> None:
     got = tuned(budget=36, fixed=dict(LOSSY), playouts=["integral", "zero"])
     assert got.rows <= 36
@@ -76,6 +77,7 @@ def test_a_link_that_draws_is_checked_with_other_seeds() -> None:
     assert got.rows > 2 * len(got.tried)  # the seeds of the check come on top
 
 
+@pytest.mark.full
 def test_a_point_that_breaks_a_condition_is_moved_to_where_the_law_fits_itself() -> None:
     """Half of the points of p_d were run with too little damping for its claim."""
     got = tuned("p_d", budget=40, fixed={**SHORT, "delay": 0.02})
@@ -92,6 +94,7 @@ def test_a_parameter_that_changes_nothing_keeps_the_laws_own_value() -> None:
     assert got.best["law.K"] != 100.0
 
 
+@pytest.mark.full
 def test_a_law_without_claims_has_the_margin_that_is_asked_for_in_its_linear_loop_too() -> None:
     """Direct reflection over 30 ms each way, in contact and free."""
     fixed = {**SHORT, "delay": 0.03}
@@ -113,6 +116,7 @@ def test_nothing_feasible_says_what_comes_nearest() -> None:
     assert got.front() == []
 
 
+@pytest.mark.full
 def test_a_single_playout_is_no_choice_and_is_played_all_the_same() -> None:
     got = tuned(budget=9, fixed=dict(LOSSY), playouts=["integral"])
     assert got.knobs["playout"] == "integral"

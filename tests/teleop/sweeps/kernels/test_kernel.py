@@ -302,6 +302,7 @@ def test_a_law_in_the_users_own_script_is_compiled_too(tmp_path: Path) -> None:
     assert output(in_process(tmp_path, "script.py")) == "{'ok': 2} {('c', ''): 2}\n"
 
 
+@pytest.mark.full
 def test_processes_that_make_the_same_kernel_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
     program(*COMPILERS)
     (tmp_path / "script.py").write_text(SMALL)

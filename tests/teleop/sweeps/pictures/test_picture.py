@@ -235,6 +235,7 @@ class TestTheAxes:
         assert axes.get_ylabel() == "k_e"
         assert "d_e goes with k_e" in figure.get_suptitle()
 
+    @pytest.mark.full
     def test_of_more_values_than_panels_both_ends_are_shown_and_the_title_says_so(self, drawn: Any) -> None:
         figure = drawn(rows({"law": [f"law{i}" for i in range(20)], "delay": DELAYS, "k_e": STIFFNESSES}, below(15.0)))
         titles = [axes.get_title() for axes in panels(figure)]
@@ -243,6 +244,7 @@ class TestTheAxes:
         assert titles[-1].startswith("law law19:")
         assert "6 of 20 values of law" in figure.get_suptitle()
 
+    @pytest.mark.full
     def test_of_two_knobs_one_loses_values_and_rather_one_with_numbers(self, drawn: Any) -> None:
         figure = drawn(rows({"law": ("a", "b", "c"), "n": (1, 2, 3), "delay": DELAYS, "k_e": (1.0, 2.0, 3.0, 4.0)},
                             below(1e9)))
@@ -250,11 +252,13 @@ class TestTheAxes:
             f"law {law}, n {n}" for law in "abc" for n in (1, 3)]
         assert figure.get_suptitle().endswith("2 of 3 values of n")
 
+    @pytest.mark.full
     def test_of_several_knobs_as_few_as_possible_lose_values(self, drawn: Any) -> None:
         figure = drawn(rows({"law": "abcd", "n": (1, 2), "m": (1, 2), "delay": DELAYS, "k_e": STIFFNESSES}, below(1e9)))
         assert [axes.get_title().split(":")[0] for axes in panels(figure)] == [
             f"law c, n {n}, m {m}" for n in (1, 2) for m in (1, 2)]
 
+    @pytest.mark.full
     def test_of_a_knob_that_is_down_to_one_value_the_title_says_which(self, drawn: Any) -> None:
         knobs = {"n": (1, 2, 3), "law": "abcd", "other": "def", "delay": DELAYS, "k_e": (1.0, 2.0, 3.0, 4.0)}
         figure = drawn(rows(knobs, below(1e9)))

@@ -88,6 +88,7 @@ class TestTheReference:
         assert parts == sorted(parts)
         assert {text for _, text in shown} >= {"the reference by DOP853", "the reference by Radau"}
 
+    @pytest.mark.full
     def test_where_radau_takes_too_long_dop853_is_compared_with_itself_at_a_looser_tolerance(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -243,6 +244,7 @@ class TestTheContenders:
         lost, worse = entry("default", 100.0, 1e-8, 1e-5, "diverged"), entry("a", 130.0, 1e-7, 1e-4)
         assert verdicts([lost, worse], {"x_s": 1e-14, "f_env": 1e-9}, "ok")[1].beaten_by is None
 
+    @pytest.mark.full
     def test_so_it_is_in_a_comparison(self, quick: None) -> None:  # noqa: F811
         """By a clock that runs faster and faster finer ones, which come later, are slower."""
         slower = (n**4 for n in count())
@@ -285,6 +287,7 @@ class TestWhatIsTold:
         assert told["methods"][0]["name"] == "default"
         assert set(told["reference"]["step_ns"]) == {"default", "semi_implicit_euler/1"}
 
+    @pytest.mark.full
     def test_the_command_writes_table_files_and_figure(
         self, typed: Typed, quick: None, tmp_path: Path  # noqa: F811
     ) -> None:
