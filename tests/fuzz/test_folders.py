@@ -104,7 +104,7 @@ def test_a_sound_folder_of_every_kind_is_opened(place: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("part", [0, *(pytest.param(part, marks=pytest.mark.full) for part in (1, 2, 3))])
+@pytest.mark.parametrize("part", range(4))
 def test_every_changed_folder_ends_in_a_table_or_in_one_sentence(part: int, place: Path, tmp_path: Path) -> None:
     assert opened(place, part * EACH, EACH, 15, tmp_path) == []
 

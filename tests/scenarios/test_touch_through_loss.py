@@ -93,7 +93,6 @@ def statics(ways: float) -> float:
     return PUSH / (1.0 / K_H + 1.0 / GAINS["law.K"] + 1.0 / K_E + ways / (2.0 * GAINS["law.b"]))
 
 
-@pytest.mark.full
 @pytest.mark.parametrize(("delay", "queue", "computed"), [
     (0.05, 0.003, 0.894188), *(pytest.param(*each, marks=pytest.mark.full) for each in (
         (0.01, 0.0, 2.489627), (0.05, 0.0, 0.936037), (0.2, 0.0, 0.280243), (0.01, 0.003, 2.214022),
@@ -132,8 +131,7 @@ def test_tracking_over_loss_is_that_without() -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("link", ["delay(0.04) | uniform(0.02) | bernoulli(0.3)",
-                                  pytest.param("delay(0.05) | bernoulli(0.3)", marks=pytest.mark.full)])
+@pytest.mark.parametrize("link", ["delay(0.04) | uniform(0.02) | bernoulli(0.3)", "delay(0.05) | bernoulli(0.3)"])
 def test_after_a_move_through_loss_the_slave_comes_to_rest_where_the_master_is(link: str) -> None:
     for seed in range(2):
         still = run(load_scene("hard_wall", **GAINS, wall=1.0, link=link, duration=20.0), seed=seed).trace

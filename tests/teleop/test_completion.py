@@ -80,8 +80,8 @@ FILES = ("teleop run my_s\t--set scale_x\t1", "run my_scene.py --set scale_x=1")
 
 
 @pytest.mark.parametrize(("shell", "keys", "words"), [
-    pytest.param(shell, *line, id=f"{shell}-{line[1]}", marks=[] if shell == "bash" or line is LAWS else [
-        pytest.mark.full]) for shell in FOLDERS for line in (LAWS, SCENES, FILES)])
+    pytest.param(shell, *line, id=f"{shell}-{line[1]}", marks=[pytest.mark.full] * (shell != "bash"))
+    for shell in FOLDERS for line in (LAWS, SCENES, FILES)])
 def test_a_key_press_completes(shell: str, keys: str, words: str, typed: Callable[..., Any], tmp_path: Path) -> None:
     (tmp_path / "my_scene.py").write_text("def scene(): ...")
     answer = typed("completion", shell)

@@ -17,7 +17,7 @@ from teleop.law import BUILT_IN, find_law
 from tests.programs import COMPILERS, program
 from tests.teleop.emit.printed import compiled, differences
 
-ORDINARY = ("four_channel", "wave_prediction")
+ORDINARY = ("wave_prediction",)
 
 
 def scene_with(law: str) -> Scene:

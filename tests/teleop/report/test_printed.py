@@ -64,6 +64,7 @@ def test_a_page_of_parts_parted_numbers_from_their_units_and_was_as_narrow_as_a_
         browser.close()
 
 
+@pytest.mark.full
 def test_a_run_is_printed_on_two_sheets_at_most_and_six_on_three(tmp_path: Path) -> None:
     sheets, console = printed(page([of_one(told(run(load_scene("jittery_wan", duration=3.0))))]), tmp_path)
     assert 1 <= sheets <= 2

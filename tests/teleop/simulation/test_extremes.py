@@ -64,6 +64,7 @@ def is_beyond(case: Case) -> bool:
 # -- the matrices themselves
 
 
+@pytest.mark.full
 def test_the_matrix_has_all_corners_of_all_pairs_of_knobs_and_all_pairs_of_choices() -> None:
     matrix = extremes.rows()
     assert len(matrix) >= 500
@@ -145,6 +146,7 @@ LEAST = ({
 })
 
 
+@pytest.mark.full
 def test_the_matrix_is_not_idle(tries: list[Case], cases: list[Case]) -> None:
     seen: Counter[str] = Counter()
     for case in cases:

@@ -59,6 +59,7 @@ def test_a_loop_stands_what_its_margin_says() -> None:
         assert ("times its gain is unstable" in stood[1]) == (factor > 1.0), factor
 
 
+@pytest.mark.full
 def test_small_motion_is_judged_without_caps_encoders_and_friction_and_a_passive_law_stands_every_delay() -> None:
     plain = margin(load_scene("hard_wall", f_max=None, slew=None))
     assert plain.delay == inf

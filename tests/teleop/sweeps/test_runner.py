@@ -402,6 +402,7 @@ def scene(*, K: float = 100.0, delay: int = 0, near: float = 100.0, duration: fl
 ENGINES = usually("engine", [None, "plain", "c", "vector"], None)  # None: the one that is chosen for it
 
 
+@pytest.mark.full
 @ENGINES
 def test_the_critical_stiffness_of_a_sampled_wall(engine: str | None, tmp_path: Path) -> None:
     """m = 0.04 kg, b = 0.8 N s/m, 1 kHz: eigenvalues of the exact model say where; runs say the same to 1 %."""

@@ -62,15 +62,16 @@ def overlapping(figure: Any) -> list[tuple[str, str]]:
 
 
 FIGURES = (
-    "passivity soft_tissue --set law=direct", "passivity virtual_coupling",
     "stability soft_tissue --set law=direct --set delay=0.005 --critical k_e --range 300:600 --tol 10",
     "sweep soft_tissue --grid law=direct,pp,p_d,wave delay=0:0.2:5 k_e=20:5e3:5:log --set duration=0.2 --engine plain",
-    "precision canonical --set duration=0.1 --rounds 1", "run hard_wall --set duration=1",
-    "tune wave --scene hard_wall --set duration=2.5 --budget 4 --workers 1",
+    "run hard_wall --set duration=1",
 )
 
 
 @pytest.mark.parametrize("words", [*FIGURES, *(pytest.param(words, marks=pytest.mark.full) for words in (
+    "passivity soft_tissue --set law=direct", "passivity virtual_coupling",
+    "precision canonical --set duration=0.1 --rounds 1",
+    "tune wave --scene hard_wall --set duration=2.5 --budget 4 --workers 1",
     "zwidth virtual_wall", "stability virtual_wall", "run leader_follower --set duration=1",
     "advise --link delay(0.05) --laws wave,direct,pp --budget 30 --workers 1",
     "sweep hard_wall --grid delay=0:0.1:9"))])

@@ -224,6 +224,7 @@ class TestAComparison:
         assert got.entries[0].beaten_by is None
         assert 1e-15 < got.entries[0].errors["x_s"].max < 1e-3 * by_key(got)["rk4/1"].errors["x_s"].max + 1e-9
 
+    @pytest.mark.full
     def test_every_axis_counts(self, quick: None) -> None:
         scene = strike(axes=3, environment=(None, Wall(k=1e5, at=1e-3), Tissue(k=500.0, d=1.0)),
                        start_m=(0.0, 0.02, 0.01), hand=None, duration=0.05)
@@ -273,6 +274,7 @@ class TestTheBudget:
         assert all("a shorter duration or --rounds 1 has it" in why for why in got.left_out.values())
         assert all(key in table(got) for key in got.left_out)
 
+    @pytest.mark.full
     def test_rounds_that_were_asked_for_are_made_whatever_they_take(self, quick: None) -> None:
         got = measure(strike(duration=0.02), clock=count(0, 100_000_000).__next__, rounds=3)
         assert got.left_out == {}

@@ -86,8 +86,7 @@ STOPPED = [*WALL, "--set", "duration=1.6", "--laws", "wave,direct", "--budget", 
 
 @pytest.mark.full
 @pytest.mark.live
-@pytest.mark.parametrize("signal_", [
-    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.full), signal.SIGKILL])
+@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_an_advice_that_was_stopped_by_a_signal_began_anew(
         signal_: signal.Signals, process: Any, ended: Any, tmp_path: Path, undisturbed: Path) -> None:
     running = process("-m", "teleop", *STOPPED, "--workers", "2", "--out", "a")

@@ -86,6 +86,7 @@ def test_a_point_that_breaks_a_condition_is_moved_to_where_the_law_fits_itself()
     assert not unmet(load_scene("hard_wall", **got.knobs))
 
 
+@pytest.mark.full
 def test_a_parameter_that_changes_nothing_keeps_the_laws_own_value() -> None:
     """How fast an end is drawn back that was let go was tuned where none ever was."""
     got = tuned("p_d", budget=200, fixed={**SHORT, "delay": 0.02})

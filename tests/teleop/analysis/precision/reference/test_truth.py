@@ -65,6 +65,7 @@ class TestTheReference:
         assert found.off["f_env"] < 1e-8
         assert "every change of mode located; by Radau at 1e-12 the run differs by at most" in found.sentence
 
+    @pytest.mark.full
     @pytest.mark.parametrize("name", [name if name in (
         "the same with friction", "the same, moving", "three axes") else pytest.param(name, marks=pytest.mark.full)
         for name in SCENES])
@@ -219,6 +220,7 @@ class TestTheContenders:
         assert "friction jumps at rest" in got.left_out["scipy's solvers"]
         assert "left out" in table(got)
 
+    @pytest.mark.full
     def test_what_misses_and_what_diverges_on_a_stiff_body_is_marked_and_kept(self, quick: None) -> None:  # noqa: F811
         stiff = strike(environment=HuntCrossley(k=1e13, lam=0.1, at=1.0005e-3), duration=0.03, x_limit=10.0)
         got = measure(stiff, clock=clock(), rounds=1)
