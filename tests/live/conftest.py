@@ -20,6 +20,7 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
+from teleop.live.devices import call_watch
 from teleop.live.driving import run
 from teleop.live.net.wire import Wire, bind_udp
 from teleop.live.process.interrupt import Interrupt
@@ -45,6 +46,13 @@ def _ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave this process as it is: an end that ran first here would keep a core from the ends of other tests."""
     monkeypatch.setattr(
         "teleop.live.end.realtime.scheduling_of", lambda _args, interrupt, *_: RealTime(interrupt, wanted=False))
+
+
+@pytest.fixture(autouse=True)
+def _no_call_ends_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give devices under test a minute for a call: on a busy machine the check of one ended the worker of the tests."""
+    for name in ("BLOCKED_S", "STUCK_S"):
+        monkeypatch.setattr(call_watch, name, 60.0)
 
 
 def make_shell(scene: Scene, e: str, wire: Wire, folder: Path, *, seed: int | None = None, **other: Any) -> Shell:
