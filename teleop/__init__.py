@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from teleop.stages.device import Device, VelocityEstimator
     from teleop.stages.encoder import Encoder
     from teleop.stages.force_cap import Cap
+    from teleop.stages.handover import Handover
     from teleop.stages.operator import Operator
     from teleop.stages.passivity_controller import PassivityController
     from teleop.stages.scaling import Frame, Scaling
@@ -82,7 +83,7 @@ __all__ = [
     "DISTRIBUTION", "ISS", "PFRA", "PSPM", "TDPA", "ArmModel", "At", "BackwardDifference", "BestFit", "Cap",
     "Compensated", "Coupling", "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping",
     "Encoder", "EndFit", "Energy", "Environment", "Facts", "Fixed", "FourChannel", "Frame", "GrowingRun", "Hand",
-    "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator",
+    "Handover", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw", "Operator",
     "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition", "Reading", "Reference",
     "Refused", "Resistance", "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Servo", "Table", "TwoLayer",
     "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter", "WaveMatched",
@@ -142,6 +143,7 @@ _HOMES = {  # the module of each name, under this package
     "stages.deadband": ("Deadband",),
     "stages.device": ("Device", "VelocityEstimator"),
     "stages.encoder": ("Encoder",),
+    "stages.handover": ("Handover",),
     "stages.operator": ("Operator",),
     "stages.passivity_controller": ("PassivityController",),
     "stages.force_cap": ("Cap",),

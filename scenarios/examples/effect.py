@@ -11,7 +11,7 @@ from teleop import Refused, load_scene, run
 
 
 @dataclass(frozen=True, slots=True)
-class Handover(Effect):
+class RoamingGap(Effect):
     """Every `every` s the link stands still for `gap` s; what was sent meanwhile is let go together at the end."""
 
     every: float  # s, from one standstill to the next
@@ -35,8 +35,8 @@ class Handover(Effect):
 
 
 if __name__ == "__main__":
-    check_effect(Handover(1.0, 0.1))  # raises one sentence for the first promise that is broken
+    check_effect(RoamingGap(1.0, 0.1))  # raises one sentence for the first promise that is broken
     for gap in (0.0, 0.1, 0.15):
-        result = run(load_scene("hard_wall", link=Handover(1.0, gap) | Delay(0.03)))
+        result = run(load_scene("hard_wall", link=RoamingGap(1.0, gap) | Delay(0.03)))
         fresh = result.metrics["fresh_fwd"]
         print(f"{1e3 * gap:3g} ms a second: {result.status}, {100 * fresh:.0f} % of the slave's ticks had a message")

@@ -32,7 +32,7 @@ from teleop.law import messages
 from teleop.scene.scene import Scene
 from teleop.simulation.expressions import Known
 from teleop.simulation.source import functions, lines
-from teleop.simulation.structure import columns, live_structure, numbers_of, record, structure_of
+from teleop.simulation.structure import columns, end_scene, live_structure, numbers_of, record, structure_of
 from teleop.simulation.tick import LiveTick, live
 from teleop.stages.wave_integral import Integrals
 
@@ -42,8 +42,9 @@ WHAT = {  # the inputs and outputs that all ends have
     "rx": "the message", "heard": "the integrals of the waves that came with it", "gain": "of the guard, 0 to 1",
     "held": "force that the motor held since the last tick, N", "since": "ticks since that force was set",
     "clutch": "1 while the operator holds the clutch open", "present": "1 while the operator is there",
-    "force": "for the motor, N", "tx": "the message to send", "sent": "the integrals of its waves, to send along",
-    "row": "what a record of this end has, in its order",
+    "wants": "1 while the policy's switch is on", "renewed": "1 if an action of the policy came",
+    "action": "the policy's newest action, m", "force": "for the motor, N", "tx": "the message to send",
+    "sent": "the integrals of its waves, to send along", "row": "what a record of this end has, in its order",
 }
 
 
@@ -96,6 +97,7 @@ class TickPrinter(Statements):
 
 def printed_tick(scene: Scene, e: str, prefix: str, *, sensor: bool | None = None, real: str = DOUBLE) -> PrintedTick:
     """The tick of an end, m or s. Raises `NotPrinted`, with file and line, where a function has no lines in C."""
+    scene = end_scene(scene, e)
     made = lines(live_structure(structure_of(scene), e, sensor), live, ends=(e,), engine="c").made
     split = Generator.of(made.tree)
     program = Program(prefix, real)
@@ -327,7 +329,7 @@ def _inputs(scene: Scene, e: str, program: Program) -> dict[str, Any]:
     return {"k": INT, "x": axis, "v": axis, "touch": axis, "got": BOOL, "newest": DOUBLE,
             "rx": Array(_message(scene, program, mine="s" if e == "m" else "m"), n, bare=True),
             "heard": Array(_integrals(program), n, bare=True), "gain": DOUBLE, "held": axis, "since": INT,
-            "clutch": DOUBLE, "present": DOUBLE}
+            "clutch": DOUBLE, "present": DOUBLE, "wants": DOUBLE, "renewed": DOUBLE, "action": axis}
 
 
 def _message(scene: Scene, program: Program, *, mine: str) -> Any:

@@ -15,7 +15,7 @@ from teleop.emit.types import NOTHING, SCALARS, Array, Printed, Struct, part, pa
 from teleop.law import messages
 from teleop.scene.scene import Scene
 from teleop.simulation.source import live_of
-from teleop.simulation.structure import numbers_of
+from teleop.simulation.structure import end_scene, numbers_of
 from teleop.simulation.tick import LiveTick
 from teleop.simulation.virtual import run
 from teleop.stages.wave_integral import Integrals
@@ -96,7 +96,8 @@ def run_vectors(scene: Scene, e: str, tick: PrintedTick) -> Vectors:
                     made.add(INIT, failed, tuple(readings))
             rx = sent["s" if each == "m" else "m"][seq] if seq >= 0 else nothing.get(each)
             x, v, touch = readings
-            now = LiveTick(k, x, v, touch, seq >= 0, float(seq), rx, (), 1.0, end.force, 1, 0.0, 1.0)
+            now = LiveTick(k, x, v, touch, seq >= 0, float(seq), rx, (), 1.0, end.force, 1, 0.0, 1.0,
+                           action=x)
             answer = end.tick(now)
             sent[each].append(answer[1])
             if each == e:
@@ -116,7 +117,7 @@ class ReferenceEnd:
     """The generator of an end, which begins again where it raised."""
 
     def __init__(self, scene: Scene, e: str, sensor: bool | None) -> None:
-        self._scene, self._e, self._live = scene, e, live_of(scene, e, sensor)
+        self._scene, self._e, self._live = end_scene(scene, e), e, live_of(end_scene(scene, e), e, sensor)
         self._start: Any = None
         self._running: Any = None
         self.past: list[LiveTick] | None = None  # the inputs since it began; None: it has to begin
@@ -211,4 +212,12 @@ class DrawnInputs:
         return LiveTick(
             self._k, tuple(map(self._number, self._x)), tuple(map(self._number, self._v)),
             tuple([self._normal(1.0) for _ in axes]), got, self._newest / every, rx, heard, self._gain, held,
-            step + int(dice.random() < 0.1), float(dice.random() < 0.05), float(dice.random() < 0.97))
+            step + int(dice.random() < 0.1), float(dice.random() < 0.05), float(dice.random() < 0.97), *self._policy())
+
+    def _policy(self) -> tuple[Any, ...]:
+        """The policy's switch, whether an action came, and one near the end; nothing in a scene without a policy."""
+        if self._scene.handover is None:
+            return ()
+        dice = self._dice
+        return (float(dice.random() < 0.9), float(dice.random() < 0.1),
+                tuple([self._number(x + 0.1 * float(dice.normal())) for x in self._x]))

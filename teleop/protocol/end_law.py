@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from teleop.scene.scene import Scene
 from teleop.simulation.source import live_of
-from teleop.simulation.structure import columns, numbers_of
+from teleop.simulation.structure import columns, end_scene, numbers_of
 from teleop.simulation.tick import LiveTick
 from teleop.stages.wave_integral import Integrals
 
@@ -72,6 +72,7 @@ class EndLaw:
     """
 
     def __init__(self, scene: Scene, e: str, sensor: bool, origin: Origin) -> None:
+        scene = end_scene(scene, e)
         self.names = [name for name in columns(scene, e, sensor) for _ in range(scene.axes if "@" in name else 1)]
         self.places = RowPlaces.of(e, self.names)
         self.begun = False

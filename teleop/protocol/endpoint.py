@@ -34,6 +34,7 @@ from teleop.protocol.packet import (
     framed,
     unwrapped,
 )
+from teleop.protocol.policy import PolicyEvents, PolicyInput
 from teleop.protocol.reception import Presence, Reception
 from teleop.protocol.session import Session, renew_after
 from teleop.protocol.states import Cause, Reason
@@ -47,6 +48,7 @@ from teleop.stages.wave_integral import Integrals
 
 Axes = tuple[float, ...]
 _NOTHING: Any = (None, None, None)  # message, energy and waves where none is played
+_NO_POLICY: Any = (0.0, 0.0, None)  # what a tick is sent of none
 _NEAR = 1 << 30  # a packet's number within so much of the tick is what it says
 _new: Any = tuple.__new__  # twice as fast as the class
 SLEW = 2000  # a slave's grid follows the master's by at most 1/2000 of a tick a tick, 500 ppm
@@ -166,6 +168,7 @@ class Endpoint:
     places: RowPlaces
 
     _switches: SwitchEvents | None = None  # where there is an operator's part
+    _policy_events: PolicyEvents | None = None  # where there is a policy's
 
     def __init__(self, scene: Scene, e: str, session: Session, messages: Messages | None = None) -> None:
         self.scene, self.e, self.session = scene, e, session
@@ -187,6 +190,7 @@ class Endpoint:
         self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
         self.presence = Presence(session, self.link, scene.dt_ns, self.every, self.guard.timeout_ns)
         self.held = HeldForce(scene, e, self.every, self.guard)
+        self.policy = PolicyInput(scene, dt) if scene.handover is not None and e == "m" else None
         self.witness: Witness | None = None
         self._dt_ns = scene.dt_ns
         self._tick = -1
@@ -212,6 +216,7 @@ class Endpoint:
         law = self._law = EndLaw(self.end_scene, e, sensor, self._origin)
         self.places = law.places
         self._switches = SwitchEvents(scene, law.names) if "clutch_m" in law.names else None
+        self._policy_events = PolicyEvents(scene, law.names) if self.policy is not None else None
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
         """Take a datagram that came at `now`; the datagrams to send back at once. Never raises on any bytes.
@@ -290,7 +295,8 @@ class Endpoint:
         inputs = _new(LiveTick, (
             k // self.every, x if origin.at is None else origin.of_law(x), v, f, played is not None,
             seq if self.every == 1 else seq / self.every, rx, waves, gain, held.force, held.since(k),
-            1.0 if clutch else 0.0, 1.0 if present or present is None else 0.0))
+            1.0 if clutch else 0.0, 1.0 if present or present is None else 0.0,
+            *(_NO_POLICY if self.policy is None else self._policy_at(k))))
         force, tx, sent, row = law.answer(inputs)
         if stamp is not None and self.places.E_out is not None:
             margin = stamp - row[self.places.E_out]
@@ -298,6 +304,8 @@ class Endpoint:
                 self.stamp_margin = margin
         if self._switches is not None:
             self._switches.update(k, row, self.guard)
+        if self._policy_events is not None:
+            self._policy_events.update(k, row, self.guard)
         self._tick = k
         if not held.take(k, force):
             self.force_failed = f"f_{self.e}"
@@ -308,6 +316,12 @@ class Endpoint:
             self.witness.ticked(k, self._met, inputs, origin.at, force, tx, sent)
         out: Tick = _new(Tick, (force, datagram, row, seq))
         return out
+
+    def _policy_at(self, k: int) -> tuple[float, float, Axes]:
+        """The policy's switch, whether an action came, and the newest, in the law's positions."""
+        assert self.policy is not None
+        wants, renewed, action = self.policy.at(k // self.every)
+        return wants, renewed, self._origin.of_law(action)
 
     def left_out(self, k: int, trouble: str, cause: Cause = Cause.DEVICE) -> Axes:
         """Skip tick k, for there is no reading: the force (N, per axis) to hold, on its way to zero."""

@@ -31,6 +31,7 @@ SHAPES = {  # of each part of a scene: the attributes that a run uses, and an ex
     "left_out_s": (("left_out",), "LeftOut(0.1)"),
     "deadband": (("k", "floor", "keep_alive"), "Deadband(k=0.1)"),
     "operator": (("clutch", "absent", "ramp", "needs"), "Operator(clutch=((2.0, 3.0),))"),
+    "handover": (("pulls", "rules", "takes", "actions"), "Handover(takes=((2.0, 4.0),))"),
     "scaling": (("scale_x", "scale_f"), "Scaling(scale_x=0.2, scale_f=0.5)"),
     "frame": (("matrix", "scale"), "Frame(rotation=(0.0, 0.0, 1.5708), scale=0.2)"),
     "electrical": (("b", "cutoff"), "ElectricalDamping(b=1.0, cutoff=10.0)"),

@@ -51,6 +51,7 @@ from teleop.scene.playout import Gaps, Integral, Playout, Zero, gaps_of, integra
 if TYPE_CHECKING:
     from teleop.physics.relaxing import ElectricalDamping
     from teleop.stages.deadband import Deadband
+    from teleop.stages.handover import Handover
     from teleop.stages.operator import Operator
     from teleop.stages.passivity_controller import PassivityController
     from teleop.stages.scaling import Frame
@@ -129,7 +130,7 @@ def without_orientation(law: Any) -> str:
 
 MOST_TICKS = 100_000_000  # a day at 1 kHz; more is a slip of the keyboard, not a run
 PARTS = ("hand", "link", "watchdog", "cap", "device_m", "device_s", "passivity", "electrical", "scaling",
-         "left_out_m", "left_out_s", "deadband", "operator", "frame")  # or None
+         "left_out_m", "left_out_s", "deadband", "operator", "handover", "frame")  # or None
 
 _NUMBERS = attrgetter("dt", "duration", "x_limit", "tolerance", "observer", "axes", "packet_size",
                       "start_m", "start_s", "names", "units", "rotations")
@@ -161,6 +162,7 @@ class Scene:
     scaling: Any = None  # Scaling, the slave's metres and newtons for those of the master
     frame: Frame | None = None  # the rotation and size from the master's base to the slave's
     operator: Operator | None = None  # the clutch and the operator-present switch, at the master
+    handover: Handover | None = None  # the policy that may take over at the master
     electrical: ElectricalDamping | None = None  # of the master's motor
     left_out_m: LeftOutLike | None = None  # the ticks that the master leaves out; None: it runs every tick
     left_out_s: LeftOutLike | None = None  # the same of the slave
@@ -195,7 +197,8 @@ class Scene:
 
     def _is_judged_by_classes(self) -> bool:
         """True if the checks, which it passed, ask for no more than the classes of its parts and its numbers."""
-        looked_at = any(each is not None for each in (self.deadband, self.operator, self.frame, self.packet_size))
+        looked_at = any(each is not None for each in (
+            self.deadband, self.operator, self.handover, self.frame, self.packet_size))
         if looked_at or self.names or self.units or self.rotations or any(
                 isinstance(getattr(self, name), tuple) for name in (*PER_AXIS, "start_m", "start_s")):
             return False
@@ -266,7 +269,7 @@ class Scene:
                           "one-port law such as virtual_wall, or a scene with a slave")
         check_shape("one-port law", laws[0])
         for name in ("link", "environment", "watchdog", "device_s", "scaling", "frame", "left_out_s", "deadband",
-                     "operator"):
+                     "operator", "handover"):
             if getattr(self, name) is not None:
                 raise Refused(f"a scene without a slave has no {name}; leave it out, or write for example "
                               "slave=MassDamper(mass=0.5)")

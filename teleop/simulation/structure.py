@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -94,6 +95,13 @@ def _end(scene: Scene, e: str, run: RunHas) -> EndStructure:
         return EndStructure(has, stages, of_stages, fields)
     shows = tuple([field for field in getattr(scene.laws[0], "shows", ()) if field in getattr(state, "_fields", ())])
     return EndStructure(has, stages, of_stages, fields, wave(tx) or "", wave(rx) or "", rx._fields, shows)
+
+
+def end_scene(scene: Scene, e: str) -> Scene:
+    """The scene as the live end `e` runs it: what a policy does is sent to its ticks, and is none of its numbers."""
+    if e != "m" or getattr(scene.handover, "policy", None) is None:
+        return scene
+    return replace(scene, handover=scene.handover.without_policy)  # type: ignore[union-attr]
 
 
 def start_of(law: Any, e: str, dt: float) -> Any:

@@ -18,7 +18,7 @@ from operator import add
 from typing import Any, NamedTuple
 
 from teleop.law import At, start_at
-from teleop.stages.end import Axis, End, Run, elapsed, law_of
+from teleop.stages.end import Axis, End, Run, elapsed, held_of_law, law_of
 from teleop.stages.memory import LEFT_OUT, at, get, put, ring
 
 
@@ -82,8 +82,8 @@ def read_directly(e: End) -> None:
 
 def situation(run: Run, e: End, a: Axis) -> Any:
     """Build the `At` passed to the law for one axis."""
-    return At(a.x_read, a.v_read, a.f_read if e.has.touch else nan, a.f, a.dx if e.has.dx else nan, fresh(run, e),
-              age(run, e), run.dt, span(run, e), gain(e))
+    return At(a.x_read, a.v_read, a.f_read if e.has.touch else nan, held_of_law(e, a), a.dx if e.has.dx else nan,
+              fresh(run, e), age(run, e), run.dt, span(run, e), gain(e))
 
 
 def fresh(run: Run, e: End) -> Any:
@@ -293,6 +293,9 @@ class LiveTick(NamedTuple):
     since: int  # ticks since that force was set
     clutch: float  # 1.0 while the operator holds the clutch open, else 0.0
     present: float  # 1.0 while the operator is there, else 0.0
+    wants: float = 0.0  # 1.0 while the policy's switch is on
+    renewed: float = 0.0  # 1.0 if an action of the policy came
+    action: Any = None  # its newest one, or None without a policy
 
 
 def live(
@@ -311,13 +314,15 @@ def live(
     begin(run, e, getattr(numbers, e.name))
     if e.has.gain:
         e.stage.watchdog.g_held = 1.0
-    k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present = yield
+    (k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present, wants, renewed,
+     action) = yield
     k_before = k - 1
     while True:
         ticks = k - k_before
         k_before = k
         e.span = ticks * dt
         set_switches(e, clutch, present)
+        set_policy(e, wants, renewed, action)
         for stage in e.stages:
             stage.late(run, e, ticks, since)
         for a in e.axes:
@@ -336,7 +341,8 @@ def live(
         tick(run, e, k)
         if e.has.gain:
             e.stage.watchdog.g_held = e.stage.watchdog.g
-        k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present = yield (
+        (k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present, wants, renewed,
+         action) = yield (
             tuple([a.f for a in e.axes]), tuple([a.tx for a in e.axes]) if run.has.slave else None,
             tuple([a.sent for a in e.axes]) if run.has.integral else None, row(e))
 
@@ -345,6 +351,14 @@ def set_switches(e: End, clutch: float, present: float) -> None:
     """The operator's switches as the device has them at this tick."""
     if e.stage.operator:
         e.stage.operator.clutch, e.stage.operator.present = clutch, present
+
+
+def set_policy(e: End, wants: float, renewed: float, action: Any) -> None:
+    """The policy's switch and its newest action at this tick."""
+    if e.stage.handover:
+        e.stage.handover.wants, e.stage.handover.renewed = wants, renewed
+        for a, port in zip(e.axes, e.stage.handover.axes, strict=True):
+            port.action = action[a.i]
 
 
 def row(e: End) -> tuple[float, ...]:

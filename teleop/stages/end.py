@@ -271,6 +271,11 @@ def elapsed(run: Run, e: End) -> Any:
     return e.span if e.has.leaves_out else run.dt
 
 
+def held_of_law(e: End, a: Axis) -> Any:
+    """The law's part of the held force of one axis, N: without a policy all of it."""
+    return e.stage.handover.axes[a.i].f_port if e.stage.handover else a.f
+
+
 def law_of(run: Run, a: Axis) -> Any:
     """The law of an axis: that of all, or its own."""
     return run.law[a.i] if run.has.own_laws else run.law

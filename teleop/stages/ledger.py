@@ -12,7 +12,7 @@ from functools import reduce
 from operator import add
 from typing import Any, ClassVar
 
-from teleop.stages.end import Axis, Column, End, Record, Run, Stage, law_of
+from teleop.stages.end import Axis, Column, End, Record, Run, Stage, held_of_law, law_of
 
 
 class WaveLedger(Stage):
@@ -74,13 +74,13 @@ class PortLedger(Stage):
     def act(self, run: Run, e: End, k: int) -> None:
         for a, moved in zip(e.axes, self.axes, strict=True):
             if e.stage.encoder and e.stage.scaling:
-                self.E_port = self.E_port + a.f * (a.x - moved.x_was) / in_joules_of_law(e, a)
+                self.E_port = self.E_port + held_of_law(e, a) * (a.x - moved.x_was) / in_joules_of_law(e, a)
             elif e.stage.encoder:
-                self.E_port = self.E_port + a.f * (a.x - moved.x_was)
+                self.E_port = self.E_port + held_of_law(e, a) * (a.x - moved.x_was)
             elif e.stage.scaling:  # in the units of the law, in which the ports add up: see `teleop.stages.scaling`
-                self.E_port = self.E_port + a.f * a.dx / in_joules_of_law(e, a)
+                self.E_port = self.E_port + held_of_law(e, a) * a.dx / in_joules_of_law(e, a)
             else:
-                self.E_port = self.E_port + a.f * a.dx
+                self.E_port = self.E_port + held_of_law(e, a) * a.dx
             if e.stage.encoder:
                 moved.x_was = a.x
 

@@ -91,8 +91,8 @@ class Operator:
     closes_within: float | tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "clutch", _spans("clutch", self.clutch))
-        object.__setattr__(self, "absent", _spans("absent", self.absent))
+        object.__setattr__(self, "clutch", spans_of("clutch", self.clutch))
+        object.__setattr__(self, "absent", spans_of("absent", self.absent))
         object.__setattr__(self, "ramp", number("ramp", self.ramp, low=0.0, high=10.0, unit="s"))
         if not isinstance(self.needs, tuple) or not set(self.needs) <= {*SWITCHES}:
             raise Refused(f"needs are switches of a device, \"clutch\" or \"present\", not {self.needs!r}; write for "
@@ -112,11 +112,12 @@ class Operator:
 
     def limits(self, dt: float, axes: int = 1) -> SwitchLimits:
         """Coefficients of the stage, at a tick of `dt` s."""
-        return SwitchLimits(float(max(1, round(self.ramp / dt))), self.within(axes), _in_ticks(self.clutch, dt),
-                            _in_ticks(self.absent, dt))
+        return SwitchLimits(float(max(1, round(self.ramp / dt))), self.within(axes), in_ticks(self.clutch, dt),
+                            in_ticks(self.absent, dt))
 
 
-def _spans(name: str, value: Any) -> Spans:
+def spans_of(name: str, value: Any) -> Spans:
+    """The value, if it is spans of time (s). Raises `Refused`."""
     example = f"{name}=((2.0, 3.0),)"
     if not isinstance(value, tuple) or not all(isinstance(each, tuple) and len(each) == 2 for each in value):
         raise Refused(f"{name} must be spans of time, (from, to) in s, not {value!r}; write for example {example}")
@@ -134,7 +135,8 @@ def _spans(name: str, value: Any) -> Spans:
     return tuple(spans_found)
 
 
-def _in_ticks(spans: Spans, dt: float) -> Spans:
+def in_ticks(spans: Spans, dt: float) -> Spans:
+    """The spans in ticks, filled up to a multiple of `PADDED` with such as no tick is in."""
     spans_found = [(float(round(start / dt)), float(round(end / dt))) for start, end in spans]
     return (*spans_found, *[(-1.0, -1.0)] * (-len(spans_found) % PADDED or PADDED * (not spans_found)))
 

@@ -91,6 +91,9 @@ AFTER_LAW = (  # what its force goes through
     Place("operator", "operator:OperatorStage", lambda end: end.e == "m" and end.scene.operator is not None,
           "fades the force out and holds the slave while the operator's clutch is open, or nobody is there",
           "operator=Operator(clutch=((2.0, 3.0),))", "master"),
+    Place("handover", "handover:HandoverStage", lambda end: end.e == "m" and end.scene.handover is not None,
+          "adds a policy's force to the law's while the policy has authority, within an energy tank",
+          "handover=Handover(takes=((2.0, 4.0),))", "master"),
     # what it is told of both ends where they turn, by what it is told of its own
     Place("orientation", "orientation:OrientationStage", lambda end: bool(end.scene.rotations),
           "counts the orientation on the axes of a rotation, and tells the law positions that go by it",
@@ -118,5 +121,9 @@ AFTER_LAW = (  # what its force goes through
     Place("law_ledger", "ledger:LawLedger",
           lambda end: end.scene.energy and end.scene.slave is not None and stores(end.scene.laws[0]),
           "asks the law what it keeps of energy: E_law", "energy=True"),
+    # whose the force is that is held from here on
+    Place("handover_share", "handover:ShareStage", lambda end: end.e == "m" and end.scene.handover is not None,
+          "tells the law of its own part of the held force, and not of the policy's",
+          "handover=Handover(takes=((2.0, 4.0),))", "master"),
 )
 STAGES = (*BEFORE_LAW, *AFTER_LAW)

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import number
-from teleop.stages.end import Column, End, Places, Record, Run, Stage, per_axis
+from teleop.stages.end import Column, End, Places, Record, Run, Stage, held_of_law, per_axis
 
 
 class Limits(NamedTuple):
@@ -87,5 +87,5 @@ class PassivityControllerStage(Stage):
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a, port in zip(e.axes, self.axes, strict=True):
-            port.E_po = port.E_po + a.f * a.dx
+            port.E_po = port.E_po + held_of_law(e, a) * a.dx
             a.f_cmd = a.f_cmd + damp(self.c_pc, port.E_po, a.v_read)

@@ -11,7 +11,22 @@ from typing import Any, ClassVar, NamedTuple
 from channel import LeftOut, parse_link
 from master.hand import Grip, Sine
 from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
-from teleop import At, Energy, Fixed, Frame, Integral, Operator, Scaled, Scaling, Scene, Servo, Wave, kind, load_scene
+from teleop import (
+    At,
+    Energy,
+    Fixed,
+    Frame,
+    Handover,
+    Integral,
+    Operator,
+    Scaled,
+    Scaling,
+    Scene,
+    Servo,
+    Wave,
+    kind,
+    load_scene,
+)
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.pp import PositionPosition
@@ -172,6 +187,18 @@ def metered(axes: int = 1) -> list[Scene]:
             for n in range(MANY)]
 
 
+def handed_over(policy: bool = True, axes: int = 1, **parts: Any) -> list[Scene]:
+    """A policy whose switch bounces, with a small tank, actions that leap and others that are missing."""
+    dice = random.Random(7)
+    base = load_scene("canonical", law="pp", link="delay(0.01) | uniform(0.005) | blackout(0.15, 0.05)", energy=True)
+    moves = Sine(amplitude=0.04 if axes == 1 else (0.04, 0.6, 0.1), frequency=2.0) if policy else None
+    return [replace(base, axes=axes, duration=0.5, watchdog=Watchdog(timeout=0.02, ramp=0.01, settle=0.02),
+                    cap=Cap(f_max=2.0 + n, slew=500.0, v_max=0.2, power=0.05), handover=Handover(
+                        policy=moves, takes=bouncing(n, 4), silent=((0.1, 0.2),), rate=60.0, late=0.01, Kp=400.0,
+                        Bp=10.0, f_max=3.0, slew=600.0, ramp=0.02, energy=0.004 * (n + 1), power=0.01 * n, soft=0.003,
+                        leap=0.03, grip=dice.uniform(0.2, 0.9)), **parts) for n in range(MANY)]
+
+
 def slow_slew() -> list[Scene]:
     """A clutch that opens while a small slew limit holds a force, for a second and no longer."""
     base = load_scene("canonical", law=PositionPosition(K=1000.0), frequency=0.1, duration=4.0, energy=True)
@@ -276,6 +303,10 @@ CASES: dict[str, Callable[[], list[Scene]]] = {
     "a one-port": one_port,
     "a user's law, a clutch and gaps": metered,
     "a user's law in two axes": partial(metered, 2),
+    "a policy": handed_over,
+    "a policy in three axes, a clutch, skips": partial(
+        handed_over, axes=3, left_out_m=LeftOut(0.2), operator=Operator(clutch=((0.2, 0.25),), ramp=0.02)),
+    "a policy without actions": partial(handed_over, policy=False),
     "a clutch and a small slew limit": slow_slew,
     "a deadband": partial(knobs, "free_motion", "deadband", (0.05, 0.2, 0.5), law="wave", delay=0.02),
     "stages around a law": partial(knobs, "free_motion", "law.deadband_k", [0.05 * n for n in range(MANY)],

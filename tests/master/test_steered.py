@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from master import Grip, Reach, Rest, SimulatedMaster, Sine, SteeredMaster
-from master.steered import ALIGNING, BANDWIDTH, ENOUGH, MOST_SPEED, SWING, following
+from master.steered import ALIGNING, ENOUGH, SWING
 from teleop import MassDamper, Refused, Scene, Wave
+from teleop.physics.following import BANDWIDTH, MOST_SPEED, following
 
 BODY = MassDamper(mass=0.1, damping=0.5)
 HAND = Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=0.05, frequency=1.0))

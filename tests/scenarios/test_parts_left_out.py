@@ -11,7 +11,7 @@ from teleop.scene.knobs import knobs_of
 from teleop.scene.library import built_in_scenes, scene_function
 from teleop.simulation.structure import structure_of
 
-OTHERS = ("lte", "pose", "bench_top", "servo_arm")  # which needs files, and whose caps are others
+OTHERS = ("lte", "pose", "bench_top", "servo_arm", "handover")  # which needs files, and whose caps are others
 LIMITED = [name for name in built_in_scenes() if "slew" in knobs_of(scene_function(name)) and name not in OTHERS]
 NONE = {"f_max": "none", "slew": "none", "timeout": "none"}
 

@@ -50,7 +50,8 @@ def input_columns(scene: Scene, e: str, sensor: bool) -> list[str]:
     along = Integrals._fields if structure_of(scene).has.integral else ()  # of each axis, behind the law's message
     per_axis = [f"x_{e}", f"v_{e}", *["f_ext"] * sensor, "f_held"]
     operated = SWITCHES if getattr(structure_of(scene), e).has_stage("operator") else ()
-    return [*_FLOATS, *operated, *[name for name in per_axis for _ in range(axes)],
+    policy = ["wants", "renewed", *["action"] * axes] if getattr(structure_of(scene), e).has_stage("handover") else []
+    return [*_FLOATS, *operated, *policy, *[name for name in per_axis for _ in range(axes)],
             *[f"rx.{name}" for name in hears] * axes, *[f"waves.{name}" for name in along] * axes, *["index"] * axes,
             *[f"f_{e}"] * axes, *[f"tx.{name}" for name in sends] * axes, *[f"sent.{name}" for name in along] * axes]
 
@@ -84,7 +85,8 @@ class InputWriter:
         self._nothing = (0.0,) * (len(hears) * scene.axes)
         self._no_waves = (0.0,) * (len(Integrals._fields) * scene.axes)
         self._no_index = (float("nan"),) * scene.axes
-        self._operated = getattr(structure_of(scene), e).has_stage("operator")
+        self._operated, self._handed = (
+            getattr(structure_of(scene), e).has_stage(name) for name in ("operator", "handover"))
 
     def begin(self, sensor: bool) -> None:
         """Write the headers, before the first tick. `sensor`: does the end's device sense the external force."""
@@ -104,14 +106,16 @@ class InputWriter:
 
         `index`: where the law's positions count from (m, per axis), if not from the device's zero.
         """
-        _, x, v, touch, got, newest, rx, waves, gain, held, since, *switches = inputs
+        _, x, v, touch, got, newest, rx, waves, gain, held, since, clutch, present, wants, renewed, action = inputs
         heard = self._nothing if rx is None else rx[0] if len(rx) == 1 else flat(rx)
         answer = tx[0] if len(tx) == 1 else flat(tx)
         if sent is not None:
             heard = *heard, *(self._no_waves if waves is None else flat(waves))
             answer = *answer, *flat(sent)
-        self._rows += self._pack(k, since, session, got, newest, gain, *(switches if self._operated else ()),
-                                 *x, *v, *(touch or ()), *held, *heard,
+        switches = (clutch, present) if self._operated else ()
+        if self._handed:
+            switches = *switches, wants, renewed, *action
+        self._rows += self._pack(k, since, session, got, newest, gain, *switches, *x, *v, *(touch or ()), *held, *heard,
                                  *(index or self._no_index), *force, *answer)
         self._room = len(self._arrivals) + self._most
 

@@ -84,6 +84,7 @@ class TickInputs(NamedTuple):
     rx: Axes  # the message, axis by axis; zeros where there is none
     waves: Axes  # and what its waves have come to, where that is sent along
     switches: Axes  # of the operator: 1.0 while the clutch is held open, 1.0 while the operator is there
+    policy: tuple[float, float, Axes | None]  # its switch, whether an action came, and the newest
     origin: Axes | None  # where the positions count from, m; None: the device's zero
 
 
@@ -98,6 +99,7 @@ def tick_inputs(end: EndFolder) -> Iterator[tuple[TickInputs, list[float]]]:
     places = [at.get(name, nothing) for name in (f"x_{end.e}", f"v_{end.e}", "f_held", "rx", "waves", "index")]
     sensed = at.get("f_ext")
     switches = slice(at["clutch"].start, at["present"].stop) if "clutch" in at else None
+    policy = at.get("wants")
     answer = at[f"f_{end.e}"].start
     for block in blocks(end.ticks):
         for row in rows.part(block.start, block.stop).tolist():
@@ -106,6 +108,8 @@ def tick_inputs(end: EndFolder) -> Iterator[tuple[TickInputs, list[float]]]:
             yield TickInputs(int(k), int(session), fresh != 0.0, newest, gain, int(since), x, v,
                        None if sensed is None else tuple(row[sensed]), held, rx, waves,
                        (0.0, 1.0) if switches is None else tuple(row[switches]),
+                       (0.0, 0.0, None) if policy is None else (*row[policy.start:policy.start + 2],
+                                                                tuple(row[at["action"]])),
                        None if isnan(index[0]) else index), row[answer:]
 
 
@@ -143,7 +147,7 @@ class Rerun:
         self._origin.at = inputs.origin
         return self._law.answer(LiveTick(
             inputs.k // self._every, inputs.x, inputs.v, touch, got, newest, rx, waves, inputs.gain, inputs.f_held,
-            inputs.since, *inputs.switches))
+            inputs.since, *inputs.switches, *inputs.policy))
 
     def _by_axis(self, kind: Any, numbers: Axes) -> tuple[Any, ...] | None:
         """A message of each axis out of its numbers; None where none is sent along."""

@@ -15,7 +15,7 @@ import pytest
 
 import scenarios.examples
 from channel import check_effect
-from scenarios.examples.effect import Handover
+from scenarios.examples.effect import RoamingGap
 from scenarios.examples.law import SmoothReflection
 from scenarios.examples.stage import AlphaBeta
 from teleop import BackwardDifference, Device, check_law, load_scene
@@ -81,7 +81,7 @@ def test_the_notebook_runs_from_a_run_to_a_figure(capsys: pytest.CaptureFixture[
 
 def test_law_and_effect_keep_what_every_law_and_effect_promises() -> None:
     check_law(SmoothReflection(), compiled=False)  # the script above tries the engines
-    check_effect(Handover(1.0, 0.1))
+    check_effect(RoamingGap(1.0, 0.1))
 
 
 def test_the_estimator_keeps_the_contract_of_estimators_and_has_lanes() -> None:

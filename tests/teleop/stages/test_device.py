@@ -16,6 +16,7 @@ from slave.tissue import Tissue
 from teleop import PFRA, BackwardDifference, Device, Direct, MassDamper, Scene, VirtualWall, run
 from teleop.simulation.source import live_of, rendered
 from teleop.simulation.structure import columns, numbers_of
+from teleop.simulation.tick import LiveTick
 from teleop.stages.encoder import Encoder, encode
 
 STEP = 6.1e-5
@@ -77,7 +78,8 @@ class TestAnEstimator:
         live.send(None)
         seen, force = [], (0.0,)
         for k, x in ((0, 0.0), (1, 0.001), (5, 0.009), (6, 0.009)):  # the ticks 2 to 4 were missed
-            force, _, _, row = live.send((k, (x,), (99.0,), None, False, -1, None, None, 1.0, force, 1, 0.0, 1.0))
+            force, _, _, row = live.send(LiveTick(
+                k, (x,), (99.0,), None, False, -1, None, None, 1.0, force, 1, 0.0, 1.0))
             seen.append(row[columns(of, "m").index("v_hat_m@")])
         assert seen == pytest.approx([0.0, 1.0, 2.0, 0.0])
 

@@ -13,6 +13,7 @@ from scipy.integrate import quad, solve_ivp
 from teleop import load_scene
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import columns, numbers_of
+from teleop.simulation.tick import LiveTick
 from teleop.stages.observer import coefficients, observe
 
 INSTANT = 1e9  # 1/s: a filter so fast that f_h_hat is f_bar itself
@@ -96,7 +97,8 @@ def test_a_stall_of_many_ticks_does_not_throw_the_live_estimate_off() -> None:
     v, before, f_m = 0.0, 0, 0.0
     for k in (0, 1, 2, 72, 73, 200):
         v, before = speed_after(v, 0.3 - f_m, M, b, (k - before) * dt), k
-        force, _, _, row = live.send((k, (0.0,), (v,), None, False, -1, None, None, 1.0, (f_m,), 1, 0.0, 1.0))
+        force, _, _, row = live.send(LiveTick(
+            k, (0.0,), (v,), None, False, -1, None, None, 1.0, (f_m,), 1, 0.0, 1.0))
         f_m = force[0]
         if k:
             assert row[at] == pytest.approx(0.3, abs=1e-9)

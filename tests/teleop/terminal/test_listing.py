@@ -137,8 +137,8 @@ class TestTables:
             assert with_stage(named, place) == ends, place
 
 
-PARTS = ("Cap", "Deadband", "Device", "Encoder", "Energy", "Integral", "LowPass", "Operator", "PassivityController",
-         "Scaled", "Scaling", "Servo", "Watchdog")
+PARTS = ("Cap", "Deadband", "Device", "Encoder", "Energy", "Handover", "Integral", "LowPass", "Operator",
+         "PassivityController", "Scaled", "Scaling", "Servo", "Watchdog")
 
 
 def with_stage(scene: Scene, place: Place) -> str:

@@ -1,0 +1,91 @@
+"""Handover: a policy takes one joint over from the operator and gives it back, over a link, at a spring.
+
+The operator's hand goes along with the handle while the policy moves it, for a hand that lets go is none of a run in
+virtual time; from `grip` on it pulls back to where it began. On the page it is yours. A law that keeps its own defaults
+gets the numbers of such a joint: those of a handle at the end of a lever of 0.3 m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from channel import Delay
+from master import Grip, Reach, Recording, Rest
+from scenarios.bench_top import spans
+from scenarios.pose import Moves, at_lever
+from slave import Wall
+from teleop import Cap, Handover, Knob, Law, MassDamper, PositionPosition, Scene, Watchdog, knob
+
+LEVER = 0.3  # m
+GAINS = {"K": 6.0, "B": 0.3, "K_d": 0.3}  # N m/rad and N m s/rad, of laws that couple positions
+Times = float | tuple[float, ...]
+
+
+def scene(
+    *,
+    law: Law = PositionPosition(),
+    delay: knob.LinkDelay = 0.02,
+    actions: Annotated[Path | None, Knob(
+        "", "file with the policy's motion: CSV of t, x (s, rad); none: it goes to `to`")] = None,
+    to: Annotated[float, Knob("rad", "angle that the policy takes the handle to")] = 0.65,
+    takes: Annotated[Times, Knob("s", "times at which the policy is switched on and off", low=0.0)] = (1.0, 3.0),
+    silent: Annotated[Times, Knob("s", "times from and to which the policy sends nothing", low=0.0)] = (),
+    rate: Annotated[float, Knob("Hz", "actions of the policy a second", above=0.0)] = 30.0,
+    late: Annotated[float, Knob("s", "time that an action takes from the policy to the master", low=0.0)] = 0.05,
+    Kp: Annotated[float, Knob("N m/rad", "stiffness by which the policy pulls the handle", low=0.0)] = 12.0,
+    Bp: Annotated[float, Knob("N m s/rad", "damping by which it does", low=0.0)] = 0.5,
+    pull: Annotated[float, Knob("N m", "most torque of the policy", above=0.0)] = 1.0,
+    pull_slew: Annotated[float, Knob("N m/s", "most change of that torque", above=0.0)] = 20.0,
+    ramp: Annotated[float, Knob("s", "time in which authority goes over", above=0.0)] = 0.2,
+    tank: Annotated[float, Knob("J", "energy tank of the policy: the most work that it does at once", above=0.0)] = 0.3,
+    tank_power: Annotated[float, Knob("W", "power that fills the tank", low=0.0)] = 0.6,
+    grip: Annotated[float | None, Knob(
+        "s", "time at which the hand pulls back, and so takes over by force; none: it does not", low=0.0)] = None,
+    k_h: Annotated[float, Knob("N m/rad", "stiffness of the hand", above=0.0)] = 2.0,
+    d_h: Annotated[float, Knob("N m s/rad", "damping of the hand", low=0.0)] = 0.2,
+    spring: Annotated[float, Knob("N m/rad", "stiffness of the spring before the slave", low=0.0)] = 4.0,
+    at: Annotated[float, Knob("rad", "angle at which that begins")] = 0.5,
+    f_max: knob.MostForce = 20.0,
+    slew: knob.MostSlew = 2000.0,
+    timeout: knob.Timeout = 0.2,
+    observer: knob.ObserverBandwidth = 200.0,
+    energy: knob.EnergyLedgers = True,
+    dt: knob.Tick = 1e-3,
+    duration: knob.Duration = 4.5,
+) -> Scene:
+    """A policy takes a joint over, moves it to a spring and gives it back; a hand may take it by force."""
+    size = LEVER * LEVER
+    along = Reach(to=0.9 * to, start=0.6, duration=1.6)
+    back = () if grip is None else (Reach(to=-to - 1.0, start=grip, duration=0.4),)
+    return Scene(
+        law=sized(law),
+        names=("joint",),
+        units=("rad",),
+        hand=Grip(mass=0.4 * size, k=k_h, d=d_h, reference=Moves((along, *back)) if to else Rest()),
+        master=MassDamper(mass=0.1 * size, damping=0.5 * size),
+        link=Delay(delay),
+        slave=MassDamper(mass=0.5 * size, damping=size),
+        environment=Wall(k=spring, d=0.05, at=at),
+        watchdog=None if timeout is None else Watchdog(timeout=timeout),
+        cap=Cap.of(f_max=f_max, slew=slew),
+        handover=Handover(
+            policy=Reach(to=to, start=0.5, duration=1.5) if actions is None else Recording(path=str(actions)),
+            takes=spans("takes", takes), silent=spans("silent", silent), rate=rate, late=late, Kp=Kp, Bp=Bp, f_max=pull,
+            slew=pull_slew, ramp=ramp, energy=tank, power=tank_power),
+        observer=observer,
+        energy=energy,
+        dt=dt,
+        duration=duration,
+    )
+
+
+def sized(law: Any) -> Any:
+    """A law with the numbers of such a joint where it has its own defaults; a law for each axis stays as it is."""
+    if isinstance(law, tuple):
+        return law
+    left = {each.name for each in fields(law) if getattr(law, each.name) == each.default}
+    made = at_lever(law, LEVER)
+    return replace(made, **{each.name: GAINS.get(each.name, getattr(made, each.name)) if each.name in left
+                            else getattr(law, each.name) for each in fields(law)})
