@@ -213,6 +213,7 @@ BENCHES = {
     "virtual": "virtual", "playout": "laws", "laws": "laws", "sweep": "sweep", "scale": "sweep", "own_laws": "sweep",
     "rivals": "rivals", "live": "live", "page": "page", "cost": "cost", "secure": "secure", "flood": "flood",
     "export": "export", "timing": "timing", "watchdog": "watchdog", "mujoco": "virtual", "emit": "emit",
+    "dynamics": "dynamics",
 }
 """The module of each bench, a function of its name there; it is loaded when the bench runs."""
 
@@ -223,6 +224,8 @@ def main() -> int:
     parser.add_argument("bench", nargs="*", help=f"{', '.join(BENCHES)}; default: all")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement; default 5")
     parser.add_argument("--against", metavar="TREE", help="of cost alone: another worktree to measure beside this one")
+    parser.add_argument("--model", metavar="FILE.xml", action="append",
+                        help="of dynamics alone: an arm to measure in place of this project's; once for each")
     parser.add_argument("--busy", action="store_true",
                         help="`live` beside a busy loop on each core, with real-time scheduling and without")
     parser.add_argument("--table", action="store_true",
@@ -235,6 +238,10 @@ def main() -> int:
     if args.busy and args.bench != ["live"]:
         print("bench: --busy is an option of the bench live; type python -m teleop.bench live --busy", file=sys.stderr)
         return 2
+    if args.model and args.bench != ["dynamics"]:
+        print("bench: --model is an option of the bench dynamics; type python -m teleop.bench dynamics --model "
+              "FILE.xml", file=sys.stderr)
+        return 2
     if args.table and args.bench:
         print("bench: --table runs what the table needs; type python -m teleop.bench --table", file=sys.stderr)
         return 2
@@ -242,7 +249,8 @@ def main() -> int:
         print(table(lambda name: _rows(name, sys.stderr, args.rounds)))
         return 0
     for name in args.bench or BENCHES:
-        options = {"against": args.against} if name == "cost" and args.against else {"busy": True} if args.busy else {}
+        options = {"against": args.against} if name == "cost" and args.against else {"busy": True} if args.busy else (
+            {"models": args.model} if args.model else {})
         for what, value, bound in _rows(name, sys.stdout, args.rounds, **options):
             print(f"{what:<58} {value:<22} {bound}")
     return 0

@@ -141,13 +141,14 @@ class Compensated:
         if ticks == self._passed and ticks * self._dt <= LONGEST_S:
             self._every = max(1, ticks)
         self._passed = ticks or self._passed
+        steady = self._unread < 2  # one torque was held since the last reading
         self._gain *= self._fading()  # what readings that failed have taken
         self._k, self._unread = k, 0
         v = np.array(reading.v)
         now = self.model.at(reading.x, v)
         if self._before is None or ticks > 0:
             self._want(v, now, max(1, ticks) * self._dt)
-            if ticks > 0 and self._before is not None and self._K is not None:
+            if steady and ticks > 0 and self._before is not None and self._K is not None:
                 self._observe(v, now, ticks * self._dt)
             self._before = v, now
         if not self._lowers:
@@ -186,7 +187,9 @@ class Compensated:
 
     def _fading(self) -> float:
         """Share that is left after so many forces without a reading: it falls in the second half of `BLIND_S`."""
-        passed = max(0, self._unread - 1) * self._every * self._dt
+        if self._unread < 2:  # nearly always
+            return 1.0
+        passed = (self._unread - 1) * self._every * self._dt
         return max(0.0, min(1.0, 2.0 - 2.0 * passed / BLIND_S))
 
     def _want(self, v: Any, now: Dynamics, span: float) -> None:
@@ -194,6 +197,8 @@ class Compensated:
         inertia = now.inertia if self._before is None else self._before[1].inertia
         needed = now.torque - (now.inertia - inertia) @ v / (2.0 * span)
         needed += self._friction * np.tanh(v / self._slow)
+        if not isfinite(needed.sum()):  # of a reading that no arm has
+            needed = np.zeros(len(v))
         self._wanted = np.minimum(np.maximum(needed, -self.limit), self.limit)
         self._cut += self._wanted != needed
 
@@ -209,6 +214,8 @@ class Compensated:
         c = Coefficients(1.0, 1.0 / span, -expm1(-self._K * span))
         self._touch = [observe(c, each, 0.0, gained, rest) for each, gained, rest in zip(
             self._touch, momentum.tolist(), held.tolist(), strict=True)]
+        if not isfinite(sum(self._touch)):
+            self._touch = [0.0] * len(self._touch)
 
 
 def _per_joint(name: str, values: float | Sequence[float], joints: int, *, low: float | None = None,

@@ -93,6 +93,7 @@ class WatchedDevice:
     def __init__(self, device: LiveDevice, deadline: float, page: mmap) -> None:
         self.device, self.deadline = device, deadline
         self.scene_body = getattr(device, "scene_body", False)
+        self._is_carrier = hasattr(device, "carries")  # beside a force of zero it may hold one of its own
         self._words: Any = memoryview(page).cast("q")
 
     def read(self, k: int) -> Reading:
@@ -108,7 +109,7 @@ class WatchedDevice:
     def hold(self, force: Axes) -> None:
         """Have the device hold `force` (N, per axis). Raises `DeviceError` if it holds zero instead."""
         words = self._words
-        if not any(force) and not self.carries:
+        if not any(force) and not self._is_carrier:
             self.let_go(force)
         elif words[FIRED] != words[ACKED]:
             self._hold_zero(force)
