@@ -1,4 +1,4 @@
-"""What an arm's compensation by its model leaves, what the momentum observer tells of a touch, and what a tick costs.
+"""Figures of an arm's compensation by its model: what a hand still feels, the momentum observer, the cost of a tick.
 
 `dynamics`: of the arms of this project, or with `--model FILE.xml` of others, an MJCF each whose hinges are the axes.
 It needs the extra `mujoco`.
@@ -144,7 +144,7 @@ class Arm:
         return np.array(hand), np.array(touch)
 
     def swing(self, t: float) -> Any:
-        """Where the hand leads each joint, rad."""
+        """Position that the hand leads each joint to, rad."""
         phases = 0.9 * np.arange(len(self.home))
         return self.home + SWING * min(1.0, t) * np.sin(2.0 * pi * SWING_HZ * t + phases)
 
@@ -160,17 +160,17 @@ def _residuals(arm: Arm) -> list[Row]:
     ideal, _ = arm.led(robot, arm.swing)
     later = round(2.0 / arm.scene.dt)
 
-    def left(device: Any) -> float:
+    def residual(device: Any) -> float:
         return _rms((arm.led(device, arm.swing)[0] - ideal)[later:])
 
     heavier = arm.compensated(arm.robot())
     heavier.model.model.body_mass[:] *= 0.95
-    rows = [("  without compensation", left(arm.robot())),
-            ("  compensated", left(arm.compensated(arm.robot()))),
-            ("  and 0.9 of its friction", left(arm.compensated(arm.robot(), friction=0.9))),
+    rows = [("  without compensation", residual(arm.robot())),
+            ("  compensated", residual(arm.compensated(arm.robot()))),
+            ("  and 0.9 of its friction", residual(arm.compensated(arm.robot(), friction=0.9))),
             ("  and read as a Damiao motor's frames, a tick old",
-             left(arm.compensated(Read(arm.robot()), friction=0.9))),
-            ("  by a model that is 5 % too light", left(heavier))]
+             residual(arm.compensated(Read(arm.robot()), friction=0.9))),
+            ("  by a model that is 5 % too light", residual(heavier))]
     head = (f"{arm.name}, {len(arm.home)} joints: rms of what a hand feels beside the arm without weight and friction",
             f"{_rms(ideal[later:]):.3g} N m itself", "")
     return [head, *[(what, f"{value:.3g} N m", "") for what, value in rows]]
@@ -198,17 +198,17 @@ def _touches(arm: Arm) -> list[Row]:
         return reading
 
     robot.read = sensed
-    _, told = arm.led(arm.compensated(robot, observer=BANDWIDTH), way)
+    _, estimate = arm.led(arm.compensated(robot, observer=BANDWIDTH), way)
     true = np.array(truth)
-    slow, slower = _smooth(true), _smooth(told)
+    slow, slower = _smooth(true), _smooth(estimate)
     delay = min(range(60), key=lambda n: _rms(slower[n:] - slow[:len(slow) - n]))
     a, f, passed = 1.0 - np.exp(-BANDWIDTH * arm.scene.dt), np.zeros(len(arm.home)), []
     for each in true:
         f = f + a * (each - f)
         passed.append(f)
     return [(f"  momentum observer of {BANDWIDTH:g}/s against contacts of {_rms(true):.3g} N m rms, "
-             f"{abs(true).max():.3g} N m at most", f"{_rms(told - true):.2g} N m rms", ""),
-            ("  and against them behind the same low-pass", f"{_rms(told - np.array(passed)):.2g} N m rms", ""),
+             f"{abs(true).max():.3g} N m at most", f"{_rms(estimate - true):.2g} N m rms", ""),
+            ("  and against them behind the same low-pass", f"{_rms(estimate - np.array(passed)):.2g} N m rms", ""),
             ("  its delay, of means over 50 ms", f"{delay * arm.scene.dt * 1e3:.0f} ms", f"1/K + dt/2 is "
              f"{1e3 / BANDWIDTH + 500.0 * arm.scene.dt:g} ms")]
 
@@ -220,21 +220,22 @@ def _smooth(values: Any) -> Any:
 
 def _cost(arm: Arm, rounds: int) -> Row:
     """Row on what a tick costs, beside the device's own."""
+    home = tuple(arm.home.tolist())
 
-    class Still:
+    class StandingArm:
         def read(self, k: int) -> Reading:
-            return Reading(arm.scene.start_s, (0.1,) * len(arm.home))
+            return Reading(home, (0.1,) * len(home))
 
         def hold(self, force: tuple[float, ...]) -> None:
             """Hold nothing."""
 
     took = []
     for _ in range(rounds):
-        device = arm.compensated(Still(), friction=0.5)
+        device = arm.compensated(StandingArm(), friction=0.5)
         began = time.process_time()
         for k in range(TICKS):
             device.read(k)
-            device.hold(arm.scene.start_s)
+            device.hold(home)
         took.append((time.process_time() - began) / TICKS * 1e6)
     return "  a tick with both costs", f"{median(took):.0f} us", ""
 
