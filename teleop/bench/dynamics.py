@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import replace
 from math import cos, pi, sin
 from pathlib import Path
@@ -62,6 +63,7 @@ class Arm:
         import mujoco
 
         self.mujoco, self.file, self.name = mujoco, str(file), file.stem
+        self._free: Any = None
         spec = mujoco.MjSpec.from_file(self.file)
         hinges = [each.name for each in spec.joints if each.type == mujoco.mjtJoint.mjJNT_HINGE]
         self.scene: Scene = load_scene("bench_top", axes=str(len(hinges)), units="rad", names=",".join(hinges),
@@ -117,13 +119,26 @@ class Arm:
             block.contype = block.conaffinity = 1
         spec.compile()
 
-    def robot(self, *, heavy: bool = True, pressed: bool = False) -> Any:
-        """Open the arm in MuJoCo; `pressed`: before the block that it is pressed on, else without contacts."""
-        file = self.pressed if pressed else self.file
-        robot: Any = find_device("s", f"mujoco:{file}{self.pose}{'?gravcomp=0' * heavy}").open(self.scene)
-        if not pressed:
-            robot._model.model.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    def robot(self, *, ideal: bool = False) -> Any:
+        """The arm in MuJoCo without contacts, at its start; `ideal`: without weight and friction too."""
+        if self._free is None:
+            self._free = self._open(self.file)
+            self._loss = self._free._model.model.dof_frictionloss.copy()
+        robot = copy(self._free)
+        robot._body = copy(robot._body)
+        model = robot._model.model
+        model.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        model.body_gravcomp[1:], model.dof_frictionloss[:] = float(ideal), 0.0 if ideal else self._loss
         return robot
+
+    def before_block(self) -> Any:
+        """The arm in MuJoCo, with its weight, before the block that it is pressed on."""
+        robot = self._open(self.pressed)
+        robot._model.model.body_gravcomp[:] = 0.0
+        return robot
+
+    def _open(self, file: str) -> Any:
+        return find_device("s", f"mujoco:{file}{self.pose}").open(self.scene)
 
     def compensated(self, device: Any, **settings: Any) -> Compensated:
         """The arm's device with its weight carried, from its first tick on."""
@@ -155,9 +170,7 @@ def _rms(values: Any) -> float:
 
 def _residuals(arm: Arm) -> list[Row]:
     """Rows on what a hand feels of an arm that it leads."""
-    robot = arm.robot(heavy=False)
-    robot._model.model.dof_frictionloss[:] = 0.0
-    ideal, _ = arm.led(robot, arm.swing)
+    ideal, _ = arm.led(arm.robot(ideal=True), arm.swing)
     later = round(2.0 / arm.scene.dt)
 
     def residual(device: Any) -> float:
@@ -178,7 +191,7 @@ def _residuals(arm: Arm) -> list[Row]:
 
 def _touches(arm: Arm) -> list[Row]:
     """Rows on the momentum observer against MuJoCo's contacts."""
-    robot = arm.robot(pressed=True)
+    robot = arm.before_block()
     model, data = robot._model.model, robot._body.data
     last = int(model.jnt_bodyid[model.joint(arm.scene.axis_names[-1]).id])
     J = np.zeros((3, model.nv))
