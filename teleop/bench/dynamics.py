@@ -35,6 +35,7 @@ BANDWIDTH = 100.0  # 1/s
 DEPTH, BEFORE = 0.05, 0.01  # m, how far the hand leads towards the block, and how far before it the arm begins
 BLOCK, FAR = "teleop_block", 9.0  # m
 COUNT, SPEED_COUNT = 25.0 / 65535, 60.0 / 4095  # rad and rad/s, of a Damiao motor's frame
+YARDSTICK_US = 30.0  # of a loop of 1000 multiplications and additions
 TICKS = 2000  # of which a tick's cost is the mean
 
 
@@ -245,12 +246,16 @@ def _cost(arm: Arm, rounds: int) -> Row:
     took = []
     for _ in range(rounds):
         device = arm.compensated(StandingArm(), friction=0.5)
+        began, x = time.process_time(), 1.0
+        for _ in range(100_000):
+            x = x * 1.0001 + 0.5
+        yardstick = (time.process_time() - began) * 1e4
         began = time.process_time()
         for k in range(TICKS):
             device.read(k)
             device.hold(home)
-        took.append((time.process_time() - began) / TICKS * 1e6)
-    return "  a tick with both costs", f"{median(took):.0f} us", ""
+        took.append((time.process_time() - began) / TICKS * 1e6 * YARDSTICK_US / yardstick)
+    return f"  a tick with both, where 1000 `x=x*1.0001+0.5` take {YARDSTICK_US:g} us", f"{median(took):.0f} us", ""
 
 
 def dynamics(rounds: int, models: Iterable[str] = ()) -> list[Row]:

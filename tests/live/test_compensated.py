@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, sin
 from pathlib import Path
 from typing import Any
@@ -9,12 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from master.device import SimulatedMaster
 from slave.mujoco_robot import MuJoCoRobot
 from teleop import DeviceError, Reading, Refused, Scene, load_scene
 from teleop.live.devices.arm_model import ArmModel
 from teleop.live.devices.compensated import BLIND_S, SLEW_S, Compensated
 from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.devices.opening import find_device
+from teleop.live.devices.position_servo import PositionServo
+from teleop.live.in_process import run_stepped
 from teleop.stages.observer import coefficients, observe
 
 pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
@@ -243,10 +247,8 @@ class TestTheLaw:
             assert bool(max(speeds[-500:]) > 0.5) is drives
 
 
-def start() -> Scene:
-    from dataclasses import replace
-
-    return replace(scene(), start_s=HOME, start_m=HOME)
+def start(**knobs: Any) -> Scene:
+    return replace(scene(**knobs), start_s=HOME, start_m=HOME)
 
 
 class TestWhatEndsIt:
@@ -393,8 +395,6 @@ class TestTheObserver:
 
     def test_follows_mujocos_contact_forces_as_its_low_pass_does(self) -> None:
         """Pressed on wall and table: against the sensor's truth through the same filter, and half a tick later."""
-        from dataclasses import replace
-
         robot: Any = MuJoCoRobot(replace(scene(), start_s=(0.0, *HOME[1:])), HEAVY)
         read, truth, told = robot.read, [], []
 
@@ -434,6 +434,25 @@ class TestTheObserver:
                 arm.hold((0.0,))
             assert float(np.std(told[500:])) == pytest.approx(expected, rel=0.1)
 
+    def test_is_what_a_law_reads_as_the_force_of_a_robot_without_a_sensor(self) -> None:
+        """In virtual time, by the command's way: `pfra` reads the force on the environment, which nothing senses."""
+        class Blind(MuJoCoRobot):
+            senses = False
+
+            def read(self, k: int) -> Reading:
+                return super().read(k)._replace(f=None)
+
+        def carried(of: Scene) -> Any:
+            return Compensated(Blind(of, HEAVY), ArmModel(ARM, of), ramp=0.05, observer=50.0)
+
+        of = start(law="pfra", delay=0.01)
+        with pytest.raises(Refused, match="reads the force on the environment"):
+            run_stepped(of, {"m": SimulatedMaster, "s": lambda each: Blind(each, ARM)})
+        result = run_stepped(of, {"m": SimulatedMaster, "s": carried})
+        assert result.status == "ok", result.sentence
+        assert np.abs(result.trace["f_env"][500:]).max() < 0.2  # nothing touches it, and its weight is no touch
+        assert np.abs(result.trace["x_s"] - HOME).max() < 0.2
+
     def test_a_device_with_a_force_sensor_keeps_it_unless_a_bandwidth_is_typed(self) -> None:
         robot = MuJoCoRobot(start(), HEAVY)
         own = Compensated(robot, ArmModel(ARM, scene()))
@@ -464,6 +483,11 @@ class TestTyped:
         ):
             with pytest.raises(Refused, match=says):
                 find_device("s", f"compensated:{text}").open(start())
+
+
+def test_servos_of_positions_carry_their_arm_by_themselves() -> None:
+    with pytest.raises(Refused, match="servos that take positions carry their arm by themselves; leave"):
+        on_arm(PositionServo.__new__(PositionServo))
 
 
 def test_a_reading_that_is_not_finite_is_handed_on_and_computes_nothing() -> None:

@@ -35,6 +35,10 @@ class LiveDevice(Protocol):
     that no machine moves, so that `check_device` pushes it without being asked to. One `scene_body` that is true says
     that it simulates the scene's own body: a force that it does not sense is then worked out from its motion after the
     run. Of any other device there is the force that it senses, or none.
+
+    One that holds a force of its own beside the law's, such as its arm's weight, says so by an attribute `carries`. It
+    has `lower()`, which ends that along a ramp of a second at most while the loop goes on reading and holding zeros,
+    and `let_go(zero)`, which ends all force at once; of others `hold` of zeros does.
     """
 
     def read(self, k: int) -> Reading:

@@ -20,4 +20,4 @@ def test_it_measures_an_arm_that_is_named_and_what_is_left_is_small(monkeypatch:
     assert values["by a model that is 5 % too light"] > 10.0 * values["compensated"]
     assert values["and against them behind the same low-pass"] < 0.1
     assert values["its delay, of means over 50 ms"] == pytest.approx(10.5, abs=2.5)
-    assert values["a tick with both costs"] > 0.0
+    assert values["a tick with both, where 1000 `x=x*1.0001+0.5` take 30 us"] > 0.0
