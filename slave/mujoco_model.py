@@ -37,7 +37,7 @@ class Loaded:
     positions count from, m, 0 of turns; `turned`: by what rotation vector the scene begins, rad. `held`: world's axes
     without one of the scene, and where they are held. `geoms`: those of the end effector and of what hangs on it; where
     the axes are joints, all of the robot's. `robot`: the part of the model that is the robot. `notes`: on the pose that
-    it begins in.
+    it begins in. `heavy`: it has its weight.
     """
 
     model: Any
@@ -54,6 +54,7 @@ class Loaded:
     geoms: frozenset[int]
     robot: Robot
     notes: tuple[str, ...]
+    heavy: bool
 
 
 def load(scene: Scene, file: str | None = None) -> Loaded:
@@ -93,7 +94,7 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
                        dict(zip(places, starts, strict=True)))
         qpos, notes = start_pose(robot, pose)
         return Loaded(model, qpos, substeps, scene.axis_names, scene.axis_units, axes, places, None, (), (), (),
-                      robot.geoms, robot, tuple(notes))
+                      robot.geoms, robot, tuple(notes), heavy)
     tip = model.body(TIP).id
     axes = _cartesian_axes(scene)
     robot = _robot(mujoco, model, label, name or END, tip, scene.axis_names, axes, {})
@@ -106,7 +107,7 @@ def load(scene: Scene, file: str | None = None) -> Loaded:
         model, qpos, substeps, scene.axis_names, scene.axis_units, axes, [], tip,
         tuple([at[i] - start if i < 3 else 0.0 for i, start in zip(axes, starts, strict=True)]),
         tuple([start for i, start in zip(axes, starts, strict=True) if i >= 3]),
-        tuple([(i, at[i]) for i in robot.held]), _geoms_of(model, tip), robot, tuple(notes))
+        tuple([(i, at[i]) for i in robot.held]), _geoms_of(model, tip), robot, tuple(notes), heavy)
 
 
 def _parts(file: str) -> tuple[str, str, str | None]:

@@ -223,6 +223,7 @@ class MuJoCoRobot:
 
     def __init__(self, scene: Scene, file: str | None = None) -> None:
         self._model = load(scene, file)
+        self.weightless = not self._model.heavy
         self._body = MuJoCoBody(self._model)
         self._axes = scene.axes
         self._k = self._renewed = 0

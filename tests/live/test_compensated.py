@@ -17,7 +17,6 @@ from teleop.live.devices.arm_model import ArmModel
 from teleop.live.devices.compensated import BLIND_S, SLEW_S, Compensated
 from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.devices.opening import find_device
-from teleop.live.devices.position_servo import PositionServo
 from teleop.live.in_process import run_stepped
 from teleop.stages.observer import coefficients, observe
 
@@ -477,7 +476,9 @@ class TestTyped:
             (f"{ARM} | nothing", "there is no robot 'nothing'"),
             (f"{ARM}?friction=1.2 | mujoco", "compensated's friction must be at most 0.9"),
             (f"{ARM}?limit=0 | mujoco", "limit must be above 0"),
-            (f"{ARM}?limit=1,2 | mujoco", "limit has 2 numbers, and there are 3 joints"),
+            (f"{ARM} | mujoco", "this device's arm has no weight that a model could carry: .* unless .gravcomp=0"),
+            (f"{ARM} | simulated", "this device's arm has no weight"),
+            (f"{ARM}?limit=1,2 | mujoco:{HEAVY}", "limit has 2 numbers, and there are 3 joints"),
             (f"{ARM}?weight=1 | mujoco", "compensated has no setting 'weight'"),
             (f"{ARM}?joints=turn,lift,knee | mujoco", "joints= knee are no joints"),
         ):
@@ -485,9 +486,19 @@ class TestTyped:
                 find_device("s", f"compensated:{text}").open(start())
 
 
-def test_servos_of_positions_carry_their_arm_by_themselves() -> None:
-    with pytest.raises(Refused, match="servos that take positions carry their arm by themselves; leave"):
-        on_arm(PositionServo.__new__(PositionServo))
+def test_zero_force_is_tried_again_of_a_device_that_held_nothing_but_a_weight() -> None:
+    """It counted as one without a force on, so that one failure of the last zero was the end of it."""
+    device, arm = on_arm()
+    guarded = GuardedDevice(arm, 3)
+    for k in range(100):
+        guarded.read(k, 0)
+        guarded.hold((0.0,) * 3)
+    device.fails = {"hold"}
+    assert not guarded.let_go()
+    assert guarded.forced
+    device.fails = set()
+    assert guarded.let_go()
+    assert not guarded.forced
 
 
 def test_a_reading_that_is_not_finite_is_handed_on_and_computes_nothing() -> None:

@@ -50,7 +50,6 @@ import numpy as np
 from teleop.errors import DeviceError, Refused, number
 from teleop.live.devices.arm_model import ArmModel, Dynamics
 from teleop.live.devices.guarded_device import LiveDevice, let_go
-from teleop.live.devices.position_servo import PositionServo
 from teleop.live.devices.settings import for_each, numbers, positive, settings_of, within
 from teleop.protocol.endpoint import Axes, Reading
 from teleop.protocol.guard import BLIND_NS, LAPSING
@@ -84,9 +83,10 @@ class Compensated:
     def __init__(self, device: LiveDevice, model: ArmModel, *, e: str = "s", dt: float = 1e-3,
                  friction: float | Sequence[float] = 0.0, limit: float | Sequence[float] | None = None,
                  ramp: float = 0.5, slow: float = 0.05, observer: float | None = None) -> None:
-        if isinstance(device, PositionServo):
-            raise Refused("servos that take positions carry their arm by themselves; leave the compensation out, or "
-                          "drive their torques")
+        if getattr(device, "weightless", False) or getattr(device, "scene_body", False):
+            raise Refused("this device's arm has no weight that a model could carry: servos of positions, a Franka and "
+                          "simulated bodies carry their own, and a robot in MuJoCo unless ?gravcomp=0 stands behind "
+                          "its file; leave the compensation out, or write that")
         self.device, self.model, self._push = device, model, 1.0 if e == "s" else -1.0
         n = len(model.names)
         shares = _per_joint("friction", friction, n, low=0.0, high=MOST_SHARE)

@@ -166,14 +166,14 @@ class GuardedDevice:
         if self.closed:
             force = self._zero
         pushes = any(force)
-        if pushes:
+        if pushes or self.carries:
             self.forced = True
         try:
             if self.closed:
                 let_go(self.device, force)
             else:
                 self.device.hold(force)
-            self._held_well, self.forced = True, pushes
+            self._held_well, self.forced = True, pushes or self.carries
         except (DeviceError, OSError) as error:
             self._failed(error)
         return self._held_well

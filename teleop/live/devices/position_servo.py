@@ -42,6 +42,8 @@ class PositionServo:
     that the arm presses on when its end is killed. Raises `Refused`, also for a servo whose condition fails.
     """
 
+    weightless = True
+
     def __init__(self, bus: PositionBus, servos: Servo | Sequence[Servo], dt: float, *, push: float = 1.0,
                  watchdog: DeviceWatchdog | None = None, unwatched: bool = False) -> None:
         self.watchdog = watchdog or getattr(bus, "watchdog", None)

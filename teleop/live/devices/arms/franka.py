@@ -59,6 +59,7 @@ class FrankaArm:
 
     deadline = DEADLINE
     senses = False
+    weightless = True  # the robot carries its arm itself
 
     def __init__(self, scene: Scene, argument: str, push: float) -> None:
         """Raises `Refused` for what it cannot drive, `DeviceError` if the robot is not reached."""
