@@ -70,7 +70,7 @@ int main(void)
 }
 """
 SET = {"k": "in.k = k;", "x": "in.x[0] = 1e-6 * (k & 1023);", "v": "in.v[0] = 1e-3 * (k & 7);", "gain": "in.gain = 1;",
-       "got": "in.got = true;", "since": "in.since = 1;", "present": "in.present = 1;"}
+       "got": "in.got = true;", "since": "in.since = 1;", "present": "in.present = 1;", "scale": "in.scale = 1;"}
 
 
 def emit(rounds: int) -> list[Row]:

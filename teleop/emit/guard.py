@@ -96,7 +96,7 @@ def with_guard(scene: Scene, tick: PrintedTick) -> tuple[PrintedTick, Guard]:
         "clock": CAUSES.index(Cause.CLOCK),
         "causes": ",\n".join([f"    {prefix.upper()}{word} = {i} /* {why} */"
                               for i, (word, why) in enumerate(causes, -1)]),
-        "fields": _lines(types, inputs, ("touch", "heard", "rx", "clutch", "wants", "renewed", "action")) + (
+        "fields": _lines(types, inputs, ("touch", "heard", "rx", "clutch", "scale", "wants", "renewed", "action")) + (
             f"\n    {types.c(DOUBLE)} absent;  /* 1 while the operator is not there */" if "present" in inputs else ""),
         "out": _lines(types, outputs, ("tx", "sent")), "columns": outputs["row"].count,
         "row": comment(", ".join(tick.columns)),
@@ -128,7 +128,8 @@ def _finite(members: dict[str, Any], of: str) -> str:
 
 
 FILL = {"k": "k", "got": "got", "newest": "(@real@)e->newest", "gain": "e->guard.gain", "since": "since",
-        "clutch": "m->clutch", "present": "1 - m->absent", "wants": "m->wants", "renewed": "m->renewed"}
+        "clutch": "m->clutch", "present": "1 - m->absent", "scale": "m->scale > 0 ? m->scale : 1",
+        "wants": "m->wants", "renewed": "m->renewed"}
 FILL_AXES = {"x": "m->x[i] - e->origin[i]", "v": "m->v[i]", "touch": "m->touch[i]", "rx": "m->rx[i]",
              "heard": "m->heard[i]", "held": "e->held[i]", "action": "m->action[i] - e->origin[i]"}
 

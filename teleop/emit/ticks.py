@@ -41,7 +41,9 @@ WHAT = {  # the inputs and outputs that all ends have
     "got": "there is a message to play", "newest": "number of the newest message, -1 before the first",
     "rx": "the message", "heard": "the integrals of the waves that came with it", "gain": "of the guard, 0 to 1",
     "held": "force that the motor held since the last tick, N", "since": "ticks since that force was set",
-    "clutch": "1 while the operator holds the clutch open", "present": "1 while the operator is there",
+    "clutch": "1 while the operator holds the clutch open, 2 of the translation, 3 of the rotation",
+    "present": "1 while the operator is there",
+    "scale": "metres of the law for one of the device; with the guard 0 is 1",
     "wants": "1 while the policy's switch is on", "renewed": "1 if an action of the policy came",
     "action": "the policy's newest action, m", "force": "for the motor, N", "tx": "the message to send",
     "sent": "the integrals of its waves, to send along", "row": "what a record of this end has, in its order",
@@ -329,7 +331,7 @@ def _inputs(scene: Scene, e: str, program: Program) -> dict[str, Any]:
     return {"k": INT, "x": axis, "v": axis, "touch": axis, "got": BOOL, "newest": DOUBLE,
             "rx": Array(_message(scene, program, mine="s" if e == "m" else "m"), n, bare=True),
             "heard": Array(_integrals(program), n, bare=True), "gain": DOUBLE, "held": axis, "since": INT,
-            "clutch": DOUBLE, "present": DOUBLE, "wants": DOUBLE, "renewed": DOUBLE, "action": axis}
+            "clutch": DOUBLE, "present": DOUBLE, "scale": DOUBLE, "wants": DOUBLE, "renewed": DOUBLE, "action": axis}
 
 
 def _message(scene: Scene, program: Program, *, mine: str) -> Any:

@@ -212,7 +212,8 @@ class DrawnInputs:
         return LiveTick(
             self._k, tuple(map(self._number, self._x)), tuple(map(self._number, self._v)),
             tuple([self._normal(1.0) for _ in axes]), got, self._newest / every, rx, heard, self._gain, held,
-            step + int(dice.random() < 0.1), float(dice.random() < 0.05), float(dice.random() < 0.97), *self._policy())
+            step + int(dice.random() < 0.1), float(dice.random() < 0.05), float(dice.random() < 0.97),
+            float(dice.choice((1.0, 1.0, 0.5, 3.0))), *self._policy())
 
     def _policy(self) -> tuple[Any, ...]:
         """The policy's switch, whether an action came, and one near the end; nothing in a scene without a policy."""

@@ -43,6 +43,7 @@ SHAPES: dict[str, Check] = {
     "align": record({"order": one_of("align"), "to": list_of(real, most=_MOST_AXES)}),
     "idle": record({"order": one_of("idle")}),
     "clutch": record({"order": one_of("clutch"), "open": truth}),
+    "scale": record({"order": one_of("scale"), "to": real}),
     "turn": record({**_TURN, "out": text}, {"again": truth, "align": _place}),
 }
 """By the word behind `order`: what an end takes."""

@@ -80,6 +80,8 @@ class Turning:
             self._idle()
         elif word == "clutch":
             self._clutch(order["open"])
+        elif word == "scale":
+            self._scale(order["to"])
         elif self._next is None and not self._turned:
             self._begin(order)
         else:
@@ -114,6 +116,17 @@ class Turning:
             self._wait(Code.CLUTCH)
         else:
             self._go_on(Code.CLUTCH)
+
+    def _scale(self, to: float) -> None:
+        """Set the scale of the operator's transformer, in the session that runs and in those after it."""
+        endpoint = self._shell.endpoint
+        try:
+            if endpoint.e != "m" or endpoint.scene.operator is None:
+                raise Refused("a scale is set at a master whose scene has an operator's clutch, between whose device "
+                              "and law it stands; order it there, and start both ends with --set clutch_ramp=0.05")
+            endpoint.set_scale(self._shell.counts.last, to)
+        except Refused as refused:
+            refuse(str(refused))
 
     def _begin(self, order: dict[str, Any]) -> None:
         self._next = order
@@ -180,7 +193,7 @@ class Turning:
         self._folder.keep()
         recorder = self._record(scene, knobs)
         recorder.begin(shell.device.force_source)
-        endpoint.session.manifest = manifest
+        endpoint.session.manifest, endpoint.scale = manifest, shell.endpoint.scale
         if deadline is not None:
             endpoint.guard.lapse_after(deadline)
         endpoint.join(k, Code.TURN.sentence)

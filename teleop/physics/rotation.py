@@ -148,6 +148,16 @@ def heard_at(w: float, x: float, y: float, z: float, rx: float, ry: float, rz: f
     return log_twofold(bw, bx, by, bz, lx, ly, lz)
 
 
+def apart_after(w: float, x: float, y: float, z: float, dx: float, dy: float, dz: float,
+                lx: float, ly: float, lz: float) -> Quaternion:
+    """The rotation from one orientation to another, after that has turned by d and the first by l: exp(d) q exp(-l)."""
+    aw, ax, ay, az = exp(dx, dy, dz)
+    bw, bx, by, bz = product(aw, ax, ay, az, w, x, y, z)
+    ew, ex, ey, ez = exp(-lx, -ly, -lz)
+    cw, cx, cy, cz = product(bw, bx, by, bz, ew, ex, ey, ez)
+    return unit(cw, cx, cy, cz)
+
+
 def left_at(px: float, py: float, pz: float, dx: float, dy: float, dz: float) -> Vector3:
     """Rotation vector (rad) to an orientation that lay p from a body, once that has turned by d: log(exp(p) exp(-d)).
 

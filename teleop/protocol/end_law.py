@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from teleop.kind import positions
+from teleop.law import messages
 from teleop.scene.scene import Scene
 from teleop.simulation.source import live_of
 from teleop.simulation.structure import columns, end_scene, numbers_of
@@ -39,6 +41,9 @@ class Origin:
         self._starts = scene.vector(f"start_{e}", getattr(scene, f"start_{e}"))
         self._device: Any = getattr(scene, f"device_{e}")
         self.placed = False  # is it known where the device was before tick 0
+        speeds = () if scene.operator is None else scene.operator.by_axis("align", scene.axes, 0.0)
+        located = any(speeds) and bool(positions(messages(scene.laws[0])[1]))
+        self.pinned = tuple([located and speed > 0.0 for speed in speeds]) if located else ()  # count from the device's
         self.away: Axes | None = None  # how far that is from where the scene begins, if it is not there
         self.at: Axes | None = None
 
@@ -49,8 +54,8 @@ class Origin:
             self.away = tuple([a - b for a, b in zip(x, self._starts, strict=True)])
 
     def move(self, x: Axes) -> None:
-        """Count from `x`, or from the nearest whole step of an encoder."""
-        self.at = x
+        """Count from `x`, or from the nearest whole step of an encoder; an axis that is aligned from its own zero."""
+        self.at = tuple([0.0 if pin else each for pin, each in zip(self.pinned, x, strict=True)]) if self.pinned else x
         if self._device is not None and self._device.encoder is not None:
             from teleop.stages.encoder import encode
 

@@ -44,6 +44,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.plan import Plan
 from teleop.simulation.structure import NAMES, SENSED, structure_of
 from teleop.simulation.tick import LiveTick
+from teleop.stages.end import CLUTCHES
 from teleop.stages.wave_integral import Integrals
 
 Axes = tuple[float, ...]
@@ -64,7 +65,7 @@ class Reading(NamedTuple):
     x: Axes
     v: Axes
     f: Axes | None = None  # force sensor: f_h at the master, f_env at the slave; None: it has none
-    clutch: bool | None = None  # is the operator's clutch held open
+    clutch: bool | str | None = None  # is the operator's clutch held open; "translation", "rotation": of those alone
     present: bool | None = None  # is the operator there
 
 
@@ -179,6 +180,7 @@ class Endpoint:
         self.heard_ns = 0  # when the newest of them that was no copy came
         self.counted: Counter[str] = Counter()  # by the inboxes of earlier sessions
         self.force_failed: str | None = None
+        self.scale = 1.0  # of the operator's transformer, as it was ordered last
         self.message_failed = False  # was the law's message not finite, and so not sent
         self.stamp_margin: float | None = None  # smallest of (sender's stamp) - (energy received here), J
         self.every = session.every
@@ -295,7 +297,7 @@ class Endpoint:
         inputs = _new(LiveTick, (
             k // self.every, x if origin.at is None else origin.of_law(x), v, f, played is not None,
             seq if self.every == 1 else seq / self.every, rx, waves, gain, held.force, held.since(k),
-            1.0 if clutch else 0.0, 1.0 if present or present is None else 0.0,
+            CLUTCHES[clutch], 1.0 if present or present is None else 0.0, self.scale,
             *(_NO_POLICY if self.policy is None else self._policy_at(k))))
         force, tx, sent, row = law.answer(inputs)
         if stamp is not None and self.places.E_out is not None:
@@ -336,6 +338,17 @@ class Endpoint:
     def place(self, x: Axes) -> None:
         """Take note of where the device is before tick 0; if not where the scene is, the law begins from rest there."""
         self._origin.place(x, moves=not self.stepped)
+
+    def set_scale(self, k: int, scale: float) -> None:
+        """Set the scale of motion and force between the device and its law at tick k; it changes gradually from then.
+
+        Raises `Refused` for one that is out of bounds; then it stays what it was.
+        """
+        from teleop.stages.scaling import check_scale
+
+        self.scale = check_scale(scale)
+        self.guard.tell(k, "scale", f"the scale is set to {scale:g}: a metre of the handle is {scale:g} m of the law, "
+                        f"and a newton of the law {scale:g} N in the hand")
 
     def join(self, k: int, why: str = "the other end was running already") -> None:
         """The first tick of this end will be k: the run has been going on without it."""
@@ -405,6 +418,8 @@ class Endpoint:
             return None
         if session.number is None or not session.carries_data:
             return None
+        if newest is None and self._origin.pinned and self.e == "m" and not self.stepped:
+            return None  # it would draw the slave to where the handle is, before the law knows where that one is
         if places.sent is not None and row[places.sent] == 0.0:
             self.saved += 1
             return None

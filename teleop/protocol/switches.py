@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from typing import Any
 
 from teleop.protocol.guard import ForceGuard
 from teleop.scene.scene import Scene
+from teleop.stages.alignment import LEAD, NEAR
 from teleop.stages.end import SWITCHES
 
 APART_NS = 100_000_000  # between two events of a switch: one that bounces must not fill what is kept of events
 MOST = 1000  # events of the switches that are told
 
 SAYS = {
-    ("clutch", True): "the operator holds the clutch open: there is no force, and the slave holds",
-    ("clutch", False): "the clutch is closed: positions count from here",
-    ("present", False): "nobody is there: there is no force, and the slave holds",
-    ("present", True): "the operator is there: positions count from here",
+    ("clutch", 1.0): "the operator holds the clutch open: there is no force, and the slave holds",
+    ("clutch", 2.0): "the operator holds the clutch of the translation open: along those axes there is no force, and "
+                     "the slave holds",
+    ("clutch", 3.0): "the operator holds the clutch of the rotation open: about those axes there is no torque, and "
+                     "the slave holds",
+    ("clutch", 0.0): "the clutch is closed: positions count from here",
+    ("present", 0.0): "nobody is there: there is no force, and the slave holds",
+    ("present", 1.0): "the operator is there: positions count from here",
 }
 
 
@@ -26,43 +32,73 @@ class SwitchEvents:
     def __init__(self, scene: Scene, columns: Sequence[str]) -> None:
         """`columns`: those of a row of the master's record, one for each number."""
         self._at = {name: columns.index(f"{name}_m") for name in SWITCHES}
-        self._modulus = columns.index("g_clutch_m")
-        self._apart = [i for i, name in enumerate(columns) if name == "apart_m@"]
-        self._within = () if scene.operator is None else scene.operator.within(scene.axes)
+        self._moduli = [i for i, name in enumerate(columns) if name in ("g_clutch_m", "g_turn_m")]
+        self._apart, self._way = ([i for i, name in enumerate(columns) if name == wanted]
+                                  for wanted in ("apart_m@", "way_m@"))
+        operator, axes = scene.operator, scene.axes
+        self._within = () if operator is None else operator.within(axes)
+        self._speed, self._most = ((), ()) if operator is None else (
+            operator.by_axis("align", axes, 0.0), operator.by_axis("align_most", axes, inf))
         self._names, self._units = scene.axis_names, scene.axis_units
         self._ns = scene.dt_ns
-        self._is = {"clutch": False, "present": True}
+        self._is = {"clutch": 0.0, "present": 1.0}
         self._told_ns = dict.fromkeys((*SWITCHES, "apart"), -APART_NS)  # of the run, of the last event
-        self._stays = False  # was it told that the clutch stays open
+        self._stays = ""  # what was told of a clutch that stays open
         self._count = 0
 
     def update(self, k: int, row: Sequence[float], guard: ForceGuard) -> None:
         """Row of tick k of the grid."""
-        clutch, present = row[self._at["clutch"]] > 0.0, row[self._at["present"]] > 0.0
-        if self._is["clutch"] is not clutch:
+        clutch, present = row[self._at["clutch"]], row[self._at["present"]]
+        if self._is["clutch"] != clutch:
             self._changed(k, "clutch", clutch, guard)
-        if self._is["present"] is not present:
+        if self._is["present"] != present:
             self._changed(k, "present", present, guard)
-        if self._apart:
-            self._closes(k, row, guard, stays=row[self._modulus] == 0.0 and present and not clutch)
+        if self._apart or self._way:
+            stays = present > 0.0 and clutch == 0.0 and any(row[i] == 0.0 for i in self._moduli)
+            self._closes(k, row, guard, stays=stays)
 
-    def _changed(self, k: int, name: str, on: bool, guard: ForceGuard) -> None:
+    def _changed(self, k: int, name: str, state: float, guard: ForceGuard) -> None:
         if self._may(k, name):
-            self._is[name] = on
-            guard.tell(k, name, SAYS[name, on])
+            self._is[name] = state
+            guard.tell(k, name, SAYS[name, state])
 
     def _closes(self, k: int, row: Sequence[float], guard: ForceGuard, *, stays: bool) -> None:
-        """Say so where the clutch stays open, for the ends are too far apart."""
-        if stays and not self._stays and self._may(k, "apart"):
-            i = max(range(len(self._apart)), key=lambda i: abs(row[self._apart[i]]) / self._within[i])
-            unit = self._units[i]
-            guard.tell(k, "clutch", f"the clutch stays open: the ends are {abs(row[self._apart[i]]):.3g} {unit} apart "
-                       f"on axis {self._names[i]}, and it closes within {self._within[i]:g} {unit}; free the slave, "
-                       "which its law draws to the master meanwhile, or start either end again, which counts both "
-                       "from where they are")
-            self._stays = True
+        """Say why the clutch stays open, each reason once."""
+        which, why = self._reason(row) if stays else ("", "")
+        if which and which != self._stays and self._may(k, "apart"):
+            guard.tell(k, "clutch", why)
+            self._stays = which
         elif not stays:
-            self._stays = False
+            self._stays = ""
+
+    def _reason(self, row: Sequence[float]) -> tuple[str, str]:
+        """Reason that keeps it open, in a word and as a sentence."""
+        way = [abs(row[i]) for i in self._way]
+        ahead = [abs(row[i]) for i in self._apart] if self._way else []
+        if any(each > most for each, most in zip(way, self._most, strict=False)):
+            size, name, unit, most = self._worst(way, self._most)
+            return "refused", (f"the arm is not aligned: the handle is {size} {unit} from it on axis {name}, and "
+                               f"align_most is {most:g} {unit}; move the handle nearer to the arm, and close the "
+                               "clutch again")
+        if any(each > LEAD * speed > 0.0 for each, speed in zip(ahead, self._speed, strict=False)):
+            size, name, unit, _ = self._worst(ahead, self._speed)
+            return "waits", (f"the alignment waits for the arm, which is {size} {unit} behind on axis {name}; free it, "
+                             "or open the clutch, which stops it where it is")
+        if any(each > NEAR * speed for each, speed in zip(way, self._speed, strict=False) if speed > 0.0):
+            size, name, unit, speed = self._worst(way, self._speed)
+            return "aligns", (f"the arm is brought to the handle, {size} {unit} away on axis {name}, at {speed:g} "
+                              f"{unit}/s: hold the clutch closed, and open it to stop")
+        if self._apart and any(abs(row[i]) > within for i, within in zip(self._apart, self._within, strict=True)):
+            size, name, unit, within = self._worst([abs(row[i]) for i in self._apart], self._within)
+            return "apart", (f"the clutch stays open: the ends are {size} {unit} apart on axis {name}, and it closes "
+                             f"within {within:g} {unit}; free the slave, which its law draws to the master meanwhile, "
+                             "or start either end again, which counts both from where they are")
+        return "", ""
+
+    def _worst(self, sizes: Sequence[float], bounds: Sequence[float]) -> tuple[str, str, str, float]:
+        """The size that is the greatest share of its bound, the name and unit of its axis, and the bound."""
+        i = max(range(len(sizes)), key=lambda i: sizes[i] / bounds[i] if bounds[i] > 0.0 else 0.0)
+        return f"{sizes[i]:.3g}", self._names[i], self._units[i], bounds[i]
 
     def _may(self, k: int, name: str) -> bool:
         """Reserve an event at tick k; False if it comes too soon, or after too many."""

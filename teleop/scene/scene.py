@@ -276,9 +276,12 @@ class Scene:
 
     def _check_operator(self) -> None:
         """Refuse a clutch that closes where the ends are near each other, of a law that does not tell where."""
-        if self.operator is None or self.operator.closes_within is None:
+        if self.operator is None:
             return
-        self.operator.within(self.axes)
+        if hasattr(self.operator, "check"):
+            self.operator.check(self)
+        if self.operator.closes_within is None:
+            return
         if not kind.positions(messages(self.laws[0])[1]):
             raise Refused(f"law {law_name(self.laws[0])} does not tell the master where the slave is, so closes_within "
                           "cannot be kept; leave it out, or take a law that compares positions, such as law=pp")

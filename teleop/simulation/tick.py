@@ -291,8 +291,9 @@ class LiveTick(NamedTuple):
     gain: float  # of the guard
     held: Any  # the force that was held since the last tick
     since: int  # ticks since that force was set
-    clutch: float  # 1.0 while the operator holds the clutch open, else 0.0
+    clutch: float  # 1.0 while the operator holds the clutch open, 2.0 or 3.0 of some axes, else 0.0
     present: float  # 1.0 while the operator is there, else 0.0
+    scale: float = 1.0  # to which the operator's scale is set
     wants: float = 0.0  # 1.0 while the policy's switch is on
     renewed: float = 0.0  # 1.0 if an action of the policy came
     action: Any = None  # its newest one, or None without a policy
@@ -314,14 +315,14 @@ def live(
     begin(run, e, getattr(numbers, e.name))
     if e.has.gain:
         e.stage.watchdog.g_held = 1.0
-    (k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present, wants, renewed,
+    (k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present, scale, wants, renewed,
      action) = yield
     k_before = k - 1
     while True:
         ticks = k - k_before
         k_before = k
         e.span = ticks * dt
-        set_switches(e, clutch, present)
+        set_switches(e, clutch, present, scale)
         set_policy(e, wants, renewed, action)
         for stage in e.stages:
             stage.late(run, e, ticks, since)
@@ -341,16 +342,16 @@ def live(
         tick(run, e, k)
         if e.has.gain:
             e.stage.watchdog.g_held = e.stage.watchdog.g
-        (k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present, wants, renewed,
-         action) = yield (
+        (k, x, v, touch, e.got, newest, rx, heard, e.stage.watchdog.g, held, since, clutch, present, scale, wants,
+         renewed, action) = yield (
             tuple([a.f for a in e.axes]), tuple([a.tx for a in e.axes]) if run.has.slave else None,
             tuple([a.sent for a in e.axes]) if run.has.integral else None, row(e))
 
 
-def set_switches(e: End, clutch: float, present: float) -> None:
-    """The operator's switches as the device has them at this tick."""
+def set_switches(e: End, clutch: float, present: float, scale: float) -> None:
+    """The operator's switches as the device has them at this tick, and the scale that was ordered."""
     if e.stage.operator:
-        e.stage.operator.clutch, e.stage.operator.present = clutch, present
+        e.stage.operator.clutch, e.stage.operator.present, e.stage.operator.scale_set = clutch, present, scale
 
 
 def set_policy(e: End, wants: float, renewed: float, action: Any) -> None:

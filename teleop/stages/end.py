@@ -42,6 +42,7 @@ def function_fields(kind: type[Record]) -> tuple[str, ...]:
 
 Places = list[float]
 SWITCHES = ("clutch", "present")  # of an operator, at the master
+CLUTCHES = {None: 0.0, False: 0.0, True: 1.0, "translation": 2.0, "rotation": 3.0}  # state of a clutch, as a number
 
 
 class RunHas(NamedTuple):

@@ -99,8 +99,13 @@ def let_go(c: CapLimits, gain: float, since: float) -> CapLimits:
 def share(e: End) -> Any:
     """The share of the law's force that is held: that of the watchdog, and of the operator's clutch."""
     if e.stage.watchdog and e.stage.operator and not e.has.live:
-        return e.stage.watchdog.g * e.stage.operator.g_clutch
-    return e.stage.operator.g_clutch if e.stage.operator else e.stage.watchdog.g
+        return e.stage.watchdog.g * clutch_modulus(e.stage.operator)
+    return clutch_modulus(e.stage.operator) if e.stage.operator else e.stage.watchdog.g
+
+
+def clutch_modulus(operator: Any) -> Any:
+    """The modulus of the operator's clutch; of one that may open for some axes the greatest."""
+    return max(operator.groups[0].g, operator.groups[1].g) if operator.several else operator.groups[0].g
 
 
 def without_share(share: float, ticks: float, passed: float) -> float:

@@ -375,7 +375,8 @@ class HandoverStage(Stage):
         self.judge(run, e, passed)
         share = self.authority
         if e.stage.operator:
-            share = min(share, e.stage.operator.g_clutch)
+            for group in e.stage.operator.groups:
+                share = min(share, group.g)
         self.sigma = max(min(self.E_tank / self.c_rules.soft, 1.0), 0.0)
         for a, port in zip(e.axes, self.axes, strict=True):
             if self.authority > 0.0:
@@ -414,7 +415,8 @@ class HandoverStage(Stage):
             port.target = port.action if self.taken > 0.0 else port.target
         self.allowed = 1.0 if self.g_last >= 1.0 else 0.0
         if e.stage.operator:
-            self.allowed = min(self.allowed, 1.0 - e.stage.operator.released)
+            for group in e.stage.operator.groups:
+                self.allowed = min(self.allowed, 1.0 - group.released)
         self.policy = standing(self.c_rules, self.policy, self.wants, self.allowed, self.quiet, self.resisted)
         self.authority = share_step(self.c_rules, self.authority, self.policy, passed)
 

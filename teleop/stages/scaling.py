@@ -71,6 +71,7 @@ from teleop.law import At
 from teleop.stages.end import Axis, End, Places, Record, Run, Stage
 
 ENTRIES = ("xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")  # of a matrix, row by row
+LEAST, MOST = 0.01, 100.0  # of a scale that is set while it runs
 OFF = 1e-6  # by which the entries of a rotation may be off
 
 
@@ -191,6 +192,31 @@ def axis_of_master(p: At, q: At, r: At, a: float, b: float, c: float) -> At:
     return At(a * p.x + b * q.x + c * r.x, a * p.v + b * q.v + c * r.v, a * p.f + b * q.f + c * r.f,
               a * p.f_held + b * q.f_held + c * r.f_held, a * p.dx + b * q.dx + c * r.dx, p.fresh, p.age, p.dt, p.span,
               p.gain)
+
+
+def check_scale(value: Any) -> float:
+    """A scale that may be set while it runs. Raises `Refused`."""
+    scale = number("scale", value, example="scale=0.5")
+    if not LEAST <= scale <= MOST:
+        raise Refused(f"a scale is from {LEAST:g} to {MOST:g}, metres of the slave for one of the handle, not "
+                      f"{scale:g}; to hold the slave open the clutch")
+    return scale
+
+
+def scale_at(scales: tuple[tuple[float, float], ...], k: float) -> float:
+    """The scale that a schedule sets at tick k; 1.0 before its first."""
+    scale = 1.0
+    for start, value in scales:
+        if value > 0.0 and start <= k:
+            scale = value
+    return scale
+
+
+def approach(factor: float, scale: float, to: float) -> float:
+    """The scale a tick later, on its way to another; at once where there is none yet (0)."""
+    if scale <= 0.0:
+        return to
+    return min(scale * factor, to) if scale < to else max(scale / factor, to)
 
 
 class Scales(Record):

@@ -199,6 +199,17 @@ def handed_over(policy: bool = True, axes: int = 1, **parts: Any) -> list[Scene]
                         leap=0.03, grip=dice.uniform(0.2, 0.9)), **parts) for n in range(MANY)]
 
 
+def indexed() -> list[Scene]:
+    """A pose whose clutch opens by parts, whose scale is changed and whose arm begins elsewhere and is aligned."""
+    base = load_scene("pose", law="pp", duration=0.4, link="delay(0.01) | uniform(0.005) | blackout(0.1, 0.1)")
+    return [replace(base, start_s=(0.002 * n, 0.0, 0.001, 0.02, -0.01 * n, 0.0), cap=Cap(f_max=3.0, slew=300.0),
+                    operator=Operator(clutch=bouncing(n, 2), clutch_rotation=bouncing(30 + n, 3),
+                                      clutch_translation=bouncing(40 + n, 1), ramp=0.004 * (n + 1),
+                                      scales=((0.05 * (n + 1), 0.4), (0.3, 2.0 + n)), scale_ramp=0.02,
+                                      align=(0.1, 0.0, 0.2, 0.9, 0.9, 0.9), align_most=0.5 + n))
+            for n in range(3)]
+
+
 def slow_slew() -> list[Scene]:
     """A clutch that opens while a small slew limit holds a force, for a second and no longer."""
     base = load_scene("canonical", law=PositionPosition(K=1000.0), frequency=0.1, duration=4.0, energy=True)
@@ -307,6 +318,7 @@ CASES: dict[str, Callable[[], list[Scene]]] = {
     "a policy in three axes, a clutch, skips": partial(
         handed_over, axes=3, left_out_m=LeftOut(0.2), operator=Operator(clutch=((0.2, 0.25),), ramp=0.02)),
     "a policy without actions": partial(handed_over, policy=False),
+    "a clutch of parts, scale and alignment": indexed,
     "a clutch and a small slew limit": slow_slew,
     "a deadband": partial(knobs, "free_motion", "deadband", (0.05, 0.2, 0.5), law="wave", delay=0.02),
     "stages around a law": partial(knobs, "free_motion", "law.deadband_k", [0.05 * n for n in range(MANY)],

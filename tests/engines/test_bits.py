@@ -53,6 +53,7 @@ a user's law in two axes                f     f      f      f      f      f     
 a policy                                X     X      X      -      -      X       X
 a policy in three axes, a clutch, skips f      f      f      -      -      -       f
 a policy without actions                f     f      f      X      f      -       f
+a clutch of parts, scale and alignment  X     X      X      f      X      f       X
 a clutch and a small slew limit         f     f      f      f      f      f       f
 a deadband                              X     X      X      f      f      -       f
 stages around a law                     f     X      X      f      f      f       X

@@ -21,7 +21,7 @@ from tests.live.ordered import Ordered
 from tests.waiting import until
 
 pytestmark = pytest.mark.live
-KNOBS = {"duration": "86400"}
+KNOBS = {"duration": "86400", "clutch_ramp": "0.05"}
 ENDS = {"m": "master", "s": "slave"}
 
 
@@ -40,6 +40,7 @@ class Story:
             self.parts["pp"] = run.turn(align=self.wall, law="wave_position", link="delay(0.02) | uniform(0.01)")
             run.happens("ms", "released", since)
             self.pressed = run.live("m", lambda event: event["f"] > 1.0)
+            self.rescale(run)
             run.order("m", order="hand", to=[-0.02])
             self.moved = run.live("m", lambda event: event["x"] < -0.005)
             self.halves(run)
@@ -57,6 +58,19 @@ class Story:
             run.happens("ms", "released", since)
         finally:
             run.close()
+
+    def rescale(self, run: Ordered) -> None:
+        """The scale is changed while the hand presses the wall, and what is none is refused."""
+        since = run.now()
+        run.order("m", order="scale", to=2.0)
+        run.happens("m", "scale", since)
+        run.live("m", lambda event: event["k"] > self.pressed["k"] + 1500)
+        self.met_by_scale = [each for e in "ms" for each in run.events[e][since[e]:] if each.get("what") == "met"]
+        since = run.now()
+        run.order("m", order="scale", to=0.0)
+        run.order("s", order="scale", to=0.5)
+        run.event("m", lambda event: "to hold the slave open the clutch" in event.get("sentence", ""), since["m"])
+        run.event("s", lambda event: "a scale is set at a master" in event.get("sentence", ""), since["s"])
 
     def halves(self, run: Ordered) -> None:
         """One end is turned, and the other well after it."""
@@ -204,6 +218,16 @@ def test_the_law_of_every_part_is_replayed_to_the_bit_and_its_two_records_make_o
         assert result.status == "ok" if name != "newest" else "stopped"
         assert len(result.trace["t"]) > 100
         assert name != "pp" or "was turned to" in result.sentence
+
+
+def test_a_scale_is_changed_without_a_session_gradually_and_stays_with_the_next_law(story: Story) -> None:
+    assert story.met_by_scale == []
+    _, scale = _column(story.parts["pp"] / "master", "scale_m")
+    assert scale[0] == 1.0
+    assert scale[-1] == 2.0
+    assert np.diff(np.log2(scale)).max() <= 0.01 * 1.5, "half a second, but for skipped ticks"
+    _, after = _column(story.parts["halves"] / "master", "scale_m")
+    assert set(after.tolist()) == {2.0}
 
 
 def test_no_session_begins_before_both_are_turned_or_while_the_clutch_is_open(story: Story) -> None:

@@ -243,9 +243,9 @@ def _switch_list(switches: tuple[str, ...]) -> str:
     return " and ".join(switches) if switches else "no switch"
 
 
-def _switch(name: str, value: Any) -> bool | None:
+def _switch(name: str, value: Any) -> Any:
     """The state of a switch as a truth of Python's; one of numpy's counts. Raises `Refused`."""
-    if value is None or value is True or value is False:
+    if value is None or value is True or value is False or (name == "clutch" and value in ("translation", "rotation")):
         return value
     if getattr(getattr(value, "dtype", None), "kind", "") == "b" and getattr(value, "shape", None) == ():
         return bool(value)

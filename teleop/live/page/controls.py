@@ -22,11 +22,12 @@ LOOKED_AT = 10.0  # s of the scene's own motion, for the span that is shown
 LEAST_SPAN = 0.06  # m
 HIGHEST = {"delay": 0.5, "jitter": 0.2, "loss": 0.5}  # s, s, share
 SWUNG = 0.15  # of the span that is shown, by which the hand swings where nobody moves it ...
+SCALES = (0.25, 4.0)  # of the slave's motion, set while it runs
 FREE = 0.6  # ... but no more than this share of the way to the wall
 GROUPS = ("Passive over any link", "Passive with enough damping", "No claim over a delay")
 DAMPED = ("wave_position", "p_d", "pd_d", "pp")  # of the second group; the first claims a ledger over any link
 LABELS = {"delay": ("delay each way", "s"), "jitter": ("jitter, at most", "s"), "loss": ("loss", ""),
-          "k_e": ("stiffness", "N/m")}
+          "k_e": ("stiffness", "N/m"), "scale": ("scale of the slave\u2019s motion", "")}
 
 
 class LinkSettings(NamedTuple):
@@ -75,7 +76,7 @@ class Choice(NamedTuple):
 
 
 class Slider(NamedTuple):
-    """Slider of the page. `low` and `high` are its ends; `log`: its scale."""
+    """Slider of the page. `low` and `high` are its ends; `log`: its scale; `running`: it moves without a switch."""
 
     name: str
     label: str
@@ -84,6 +85,7 @@ class Slider(NamedTuple):
     high: float
     value: float
     log: bool
+    running: bool = False
 
 
 class Controls:
@@ -103,6 +105,9 @@ class Controls:
                           "give its function the parameter `duration: knob.Duration = 10.0`")
         self._typed = {**knobs, "duration": OPEN_ENDED}
         self._short = load_scene(name, **{**knobs, "duration": repr(LOOKED_AT)})
+        self.scale = 1.0  # of the slave's motion, as a page has set it
+        if self._short.operator is None and self._short.slave is not None and "clutch_ramp" not in knobs:
+            self._typed["clutch_ramp"] = "0.05"  # between the handle and its law, where the scale is
         self.first = self.scene(Choice())
 
     def knobs(self, choice: Choice) -> dict[str, str]:
@@ -128,7 +133,7 @@ class Controls:
         sliders = {slider.name: slider for slider in self.sliders(choice)}
         values = {}
         for key, value in message.items():
-            if key in LABELS:
+            if key in LABELS and key != "scale":
                 if key not in sliders:
                     raise Refused(f"scene {self.name} has no knob {key}; {', '.join(sliders)} can be changed")
                 values[key] = number(key, value, low=sliders[key].low, high=sliders[key].high, unit=sliders[key].unit)
@@ -161,7 +166,17 @@ class Controls:
         if isinstance(k_e, float) and k_e > 0.0 and self._robot is None:
             label, unit = LABELS["k_e"][0], self._declared["k_e"].knob.unit
             sliders.append(Slider("k_e", label, unit, k_e / 100.0, k_e * 10.0, choice.k_e or k_e, True))
+        if self.first.operator is not None:
+            sliders.append(Slider("scale", *LABELS["scale"], *SCALES, self.scale, True, running=True))
         return sliders
+
+    def set_scale(self, to: float) -> float:
+        """Set the scale of the slave's motion. Raises `Refused` for one that is not offered."""
+        if self.first.operator is None:
+            raise Refused(f"scene {self.name} has no operator's clutch, in which a scale is set; give it a time, for "
+                          "example --set clutch_ramp=0.05")
+        self.scale = number("scale", to, low=SCALES[0], high=SCALES[1])
+        return self.scale
 
     @cached_property
     def laws(self) -> list[dict[str, str]]:
@@ -386,6 +401,7 @@ class Clutch:
         self._offset = (0.0,) * scene.axes  # m, of the master
         self._switching = False  # the next session begins after a switch, which keeps the offset
         self._begins: float | None = None  # first tick of a session whose offset is not known yet
+        self._moved = False  # has the operator's transformer moved the law's position beside the handle's
 
     def hold(self, page: Hashable, *, held: bool) -> None:
         """Note that a page holds it, or lets it go; it is open while any page holds it."""
@@ -406,7 +422,7 @@ class Clutch:
 
     def begin_session(self, k: float) -> None:
         """Note that the master has begun a session at tick k."""
-        self._begins, self._switching = None if self._switching else k, False
+        self._begins, self._switching = None if self._switching and not self._moved else k, False
 
     def measure(self, tails: Mapping[str, RecordTail]) -> None:
         """Measure the offset as soon as the records have come to the begin of the session."""
@@ -421,7 +437,15 @@ class Clutch:
     def aligned_position(self, tails: Mapping[str, RecordTail]) -> list[float] | None:
         """Position of the master (m, per axis) at which the hand feels the slave's contact; None: not known."""
         positions = self._positions(tails, float("inf"))
-        return None if positions is None else [x + offset for x, offset in zip(positions[1], self._offset, strict=True)]
+        if positions is None:
+            return None
+        wanted = [x + offset for x, offset in zip(positions[1], self._offset, strict=True)]
+        row, columns = tails["m"].newest[-1], tails["m"].slices
+        self._moved = "offset_m" in columns and any(row[columns["offset_m"]])
+        if self._moved and (scale := row[columns["scale_m"]][0]) > 0.0:  # of the handle's way, for that of the law
+            wanted = [x + (to - (x - beside)) / scale for to, x, beside in
+                      zip(wanted, positions[0], row[columns["offset_m"]], strict=True)]
+        return wanted
 
     def _positions(self, tails: Mapping[str, RecordTail], k: float) -> tuple[Position, Position] | None:
         """Positions of master and slave at tick k, in the master's metres."""

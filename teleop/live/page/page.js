@@ -69,6 +69,8 @@ const heard = {
     }
     connection();
     pressed(m.clutch || clutch);
+    const scaled = $("k_scale");  // which another page may have set
+    if (scaled && !scaled.busy && m.scale) { scaled.value = scale(scaled.one).of(m.scale); scaled.show(m.scale); }
     dirty = true;
   },
   said(m) { say(m.level, m.text); },
@@ -199,6 +201,7 @@ const tidy = {s: v => Math.round(v * 1e3) / 1e3, "": v => Math.round(v * 200) / 
 function shownAs(one, v) {
   if (one.unit === "s") return ms(v);
   if (one.name === "loss") return pc(v);
+  if (one.name === "scale") return `${+v.toPrecision(2)} times the hand\u2019s`;
   const k = v >= 1e3 ? 1e3 : 1;
   return `${+(v / k).toPrecision(2)} ${k > 1 ? "k" : ""}${one.unit}`;
 }
@@ -217,12 +220,19 @@ function sliders(m, first) {
       let timer = 0;
       const value = () => {
         const v = scale(input.one).at(+input.value);
-        return clip(input.one.name === "loss" ? tidy[""](v) : (tidy[input.one.unit] || (x => +x.toPrecision(2)))(v), input.one.low, input.one.high);
+        return clip(input.one.name === "loss" ? tidy[""](v) : (input.one.log ? x => +x.toPrecision(2) : tidy[input.one.unit])(v), input.one.low, input.one.high);
       };
       input.show = v => { out.textContent = shownAs(input.one, v); input.setAttribute("aria-valuetext", out.textContent); };
-      input.oninput = () => { input.busy = true; input.show(value()); };
+      input.oninput = () => { input.busy = true; input.show(value()); if (input.one.running) input.onchange(); };
       // A turn is a new session, so one is asked for when the slider rests, not at each step.
-      input.onchange = () => { clearTimeout(timer); timer = setTimeout(() => { input.busy = false; sent({type: "turn", [input.one.name]: value()}); }, 250); };
+      // A scale is ramped where it is, so it follows the slider.
+      input.onchange = () => {
+        clearTimeout(timer);
+        timer = setTimeout(() => {
+          input.busy = false;
+          sent(input.one.running ? {type: "scale", to: value()} : {type: "turn", [input.one.name]: value()});
+        }, input.one.running ? 60 : 250);
+      };
     }
     input.one = one;
     if (!input.busy) { input.value = scale(one).of(one.value); input.show(one.value); }

@@ -146,12 +146,18 @@ class Page:
             self._drag.move(page, hand_position(message["to"], self._scene.axes), self._now())
         elif kind == "clutch":
             self._clutch.hold(page, held=message["open"])
+        elif kind == "scale":
+            self._order_scale(self._controls.set_scale(message["to"]))
         elif kind == "turn":
             self._switches.ask(self._controls.chosen(self._switches.wanted, message))
         else:
             self._switches.ask(self._switches.wanted, again=True)
         if kind in ("turn", "again") and self._lost and self._restarting is None:
             self._restart()
+
+    def _order_scale(self, scale: float) -> None:
+        """Have the master change the scale of the slave's motion, in the session that runs."""
+        self._children.order({"order": "scale", "to": scale}, "master")
 
     def forget(self, page: Hashable) -> None:
         """Forget a page that was closed; its pointer lets go by its silence, see `Drag`."""
@@ -425,6 +431,8 @@ class Page:
         self._clutch, self._shaking = Clutch(self._scene), self._shaking_of()
         try:
             await self._children.start(knobs, folders)
+            if self._controls.scale != 1.0:
+                self._order_scale(self._controls.scale)
         finally:
             if why != "start":  # a process that is lost just after the first start is started anew like any other
                 self._restarted_at = self._now()
@@ -473,4 +481,5 @@ class Page:
             "type": "status", **ends, **worst, "loss": max(0.0, *losses) if losses else None,
             "switching": self._switches.under_way is not None, "idle": self._idle_at is not None,
             "written": self._written, "free": self._free, "lost": None if lost is None else f"the {lost}",
-            "clutch": self._clutch.is_open, "parts": len(self._parts), "shakes": self._shaking.shakes})
+            "scale": self._controls.scale, "clutch": self._clutch.is_open, "parts": len(self._parts),
+            "shakes": self._shaking.shakes})

@@ -120,9 +120,10 @@ _SHAPES: dict[str, dict[str, Check]] = {
     "hand": {"to": optional(list_of(real, most=MOST_AXES))},
     "turn": {"law": text, **dict.fromkeys(SLIDERS, real)},
     "clutch": {"open": truth},
+    "scale": {"to": real},
     "again": {},
 }
-_NEEDED = {"hand": ("to",), "turn": (), "clutch": ("open",), "again": ()}
+_NEEDED = {"hand": ("to",), "turn": (), "clutch": ("open",), "scale": ("to",), "again": ()}
 
 
 class Garbage(Misshapen):

@@ -49,7 +49,7 @@ def input_columns(scene: Scene, e: str, sensor: bool) -> list[str]:
     axes, (hears, sends) = scene.axes, message_fields(scene, e)
     along = Integrals._fields if structure_of(scene).has.integral else ()  # of each axis, behind the law's message
     per_axis = [f"x_{e}", f"v_{e}", *["f_ext"] * sensor, "f_held"]
-    operated = SWITCHES if getattr(structure_of(scene), e).has_stage("operator") else ()
+    operated = (*SWITCHES, "scale") if getattr(structure_of(scene), e).has_stage("operator") else ()
     policy = ["wants", "renewed", *["action"] * axes] if getattr(structure_of(scene), e).has_stage("handover") else []
     return [*_FLOATS, *operated, *policy, *[name for name in per_axis for _ in range(axes)],
             *[f"rx.{name}" for name in hears] * axes, *[f"waves.{name}" for name in along] * axes, *["index"] * axes,

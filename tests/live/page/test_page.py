@@ -23,7 +23,7 @@ def test_a_page_is_told_what_it_shows_then_shown_the_rows_of_both_ends_and_what_
             hello = await browser.until("hello")
             assert (hello["scene"], hello["axes"], hello["law"]) == ("hard_wall", 1, "wave")
             assert {slider["name"]: slider["value"] for slider in hello["sliders"]} == {
-                "delay": 0.05, "jitter": 0.0, "loss": 0.0, "k_e": 2e4}
+                "delay": 0.05, "jitter": 0.0, "loss": 0.0, "k_e": 2e4, "scale": 1.0}
             assert {law["name"] for law in hello["laws"]} >= {"direct", "wave", "pfra"}
             seen = [await browser.until("rows") for _ in range(20)]
             rows = await browser.until("rows", lambda rows: rows["E"] is not None)
@@ -122,6 +122,21 @@ def test_what_cannot_be_turned_to_is_refused_before_an_end_is_told_and_of_many_t
             hello = await browser.until("hello", lambda message: message["link"] == "delay(0.1)")
             assert hello["law"] == "wave"
         assert 1 <= len(page.orders("master")) < 10
+
+    served(scenario)
+
+
+def test_a_scale_is_ordered_of_the_master_without_a_switch_and_one_that_is_none_is_refused(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser, page.open() as other:
+            await browser.until("rows")
+            await browser.say("scale", to=2.0)
+            await other.until("status", lambda status: status["scale"] == 2.0)
+            await browser.say("scale", to=0.0)
+            await browser.until("said", lambda message: "scale must be" in message["text"])
+        assert [each for each in page.all_orders("master") if each["order"] != "hand"] == [
+            {"order": "scale", "to": 2.0}]
+        assert page.all_orders("slave") == []
 
     served(scenario)
 

@@ -206,8 +206,8 @@ def driven(of: Scene, master: Any) -> tuple[dict[str, np.ndarray], list[Event]]:
         for e, other in ("ms", "sm"):
             devices[e].hold(outs[e].force)
             datagram = outs[e].datagram
-            assert datagram is not None
-            ends[other].receive(datagram, now)
+            if datagram is not None:
+                ends[other].receive(datagram, now)
         rows.extend(outs["m"].row)
     return dict(end_columns(prepare(of), "m", EndRecord(range(of.ticks), rows, None))), ends["m"].guard.events
 

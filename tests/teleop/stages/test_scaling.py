@@ -143,7 +143,7 @@ R = np.array(Frame(rotation=TURN).matrix).reshape(3, 3)
 
 
 @pytest.mark.parametrize("name", ["recorded_reach", "pose"])
-@pytest.mark.parametrize("law", ["pp", "wave", "pspm"])
+@pytest.mark.parametrize("law", ["pp", *[pytest.param(law, marks=pytest.mark.full) for law in ("wave", "pspm")]])
 def test_a_turned_base_before_nothing_changes_no_motion_of_the_master_and_turns_that_of_the_slave(
         name: str, law: str) -> None:
     """Bodies alike on three axes have no direction, so the law meets them as without a frame."""
@@ -172,7 +172,7 @@ def test_a_wall_along_x_of_the_slave_is_felt_along_minus_y_by_a_master_whose_bas
     assert trace["f_m"][-1] == pytest.approx([0.0, -trace["f_env"][-1, 0], 0.0], abs=1e-6)
 
 
-@pytest.mark.parametrize("law", ["wave", "pp", "two_layer"])
+@pytest.mark.parametrize("law", ["wave", *[pytest.param(law, marks=pytest.mark.full) for law in ("pp", "two_layer")]])
 def test_a_frame_with_any_rotation_and_size_keeps_the_ledgers_and_the_caps_in_the_slaves_own_axes(law: str) -> None:
     """The slave's axes, scales and surroundings differ; the balance is worked out from the trace by itself."""
     dice = np.random.default_rng(7)

@@ -32,6 +32,8 @@ SLIDERS = [
     {"name": "jitter", "label": "Jitter", "unit": "s", "low": 0.0, "high": 0.05, "log": False},
     {"name": "loss", "label": "Loss", "unit": "", "low": 0.0, "high": 0.5, "log": False},
     {"name": "k_e", "label": "Wall stiffness", "unit": "N/m", "low": 50.0, "high": 1e5, "log": True},
+    {"name": "scale", "label": "Scale of the slave\u2019s motion", "unit": "", "low": 0.25, "high": 4.0, "log": True,
+     "running": True},
 ]
 DT, F_MAX, WALL = 1e-3, 20.0, 0.03
 
@@ -121,7 +123,7 @@ class Mock:
                 "laws": [{"name": name, "says": says, "group": GROUPS[name]} for name, says in LAWS.items()],
                 "gains": f"{self.knobs['law']}(b=20)", "notes": [],
                 "wall": WALL, "f_max": F_MAX,
-                "sliders": [{**one, "value": self.knobs[one["name"]]} for one in SLIDERS], "span": 0.12,
+                "sliders": [{**one, "value": self.knobs.get(one["name"], 1.0)} for one in SLIDERS], "span": 0.12,
                 "link": f"delay({self.knobs['delay']:g})", "energy": self.energy}
 
     def say(self, level: str, text: str) -> None:
@@ -169,6 +171,8 @@ class Mock:
                 self.world.target, self.world.steered = message["to"], True
             elif message["type"] == "clutch":
                 self.world.clutch = message["open"]
+            elif message["type"] == "scale":
+                self.status = {**self.status, "scale": message["to"]}
             else:
                 if message["type"] == "again":
                     self.world.again()

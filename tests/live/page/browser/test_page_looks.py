@@ -105,11 +105,11 @@ def test_with_reduced_motion_no_packet_moves_and_the_strips_go_in_steps(mock: Mo
 
 def test_every_control_is_reached_by_tab_with_a_visible_focus_and_has_a_name(page: Page) -> None:
     order = []
-    for _ in range(9):
+    for _ in range(10):
         page.key("Tab")
         order.append(page.evaluate("document.activeElement.id"))
         assert page.evaluate("parseFloat(getComputedStyle(document.activeElement).outlineWidth)") >= 2.0
-    assert order == ["stage", "clutch", "again", "go", "law", "k_delay", "k_jitter", "k_loss", "k_k_e"]
+    assert order == ["stage", "clutch", "again", "go", "law", "k_delay", "k_jitter", "k_loss", "k_k_e", "k_scale"]
     tree = page.call("Accessibility.getFullAXTree")["nodes"]
     named = {node["role"]["value"]: node["name"]["value"] for node in tree if "name" in node and "role" in node}
     assert {"application", "button", "combobox", "slider"} <= set(named)

@@ -22,7 +22,8 @@ def test_a_slider_asks_for_one_turn_when_it_rests_by_keyboard_and_by_mouse_on_a_
     mock: Mock, page: Page, tab: Callable[..., Page]
 ) -> None:
     """And a turn on one page shows on the other."""
-    assert labels(page) == ["Delay, each way 50 ms", "Jitter 0 ms", "Loss 0 %", "Wall stiffness 20 kN/m"]
+    assert labels(page) == ["Delay, each way 50 ms", "Jitter 0 ms", "Loss 0 %", "Wall stiffness 20 kN/m",
+                            "Scale of the slave\u2019s motion 1 times the hand\u2019s"]
     # Ten steps in one go, for on a busy machine a slider rests between two keys.
     page.evaluate("""for (let i = 0; i < 9; i++) {
         const delay = document.getElementById('k_delay');
@@ -47,6 +48,17 @@ def test_a_slider_asks_for_one_turn_when_it_rests_by_keyboard_and_by_mouse_on_a_
     other.key("ArrowRight")
     page.until("document.getElementById('k_loss').getAttribute('aria-valuetext') !== '0 %'")
     assert labels(page) == labels(other)
+
+
+def test_the_scale_follows_its_slider_without_a_turn(mock: Mock, page: Page) -> None:
+    page.evaluate("""const scale = document.getElementById('k_scale');
+        scale.value = 1000;
+        for (const name of ['input', 'change']) scale.dispatchEvent(new Event(name));""")
+    until(lambda: mock.of("scale") and mock.of("scale")[-1] == {"type": "scale", "to": 4.0})
+    assert mock.of("turn") == []
+    assert labels(page)[-1].endswith("4 times the hand\u2019s")
+    mock.status = {**mock.status, "scale": 0.5}  # which another page has set
+    page.until("document.getElementById('k_scale').getAttribute('aria-valuetext').startsWith('0.5')")
 
 
 def test_a_law_is_switched_on_the_running_system_and_what_shakes_is_called_so(mock: Mock, page: Page) -> None:
