@@ -48,6 +48,11 @@ def scene(
     closes_within: Annotated[PerAxis | None, Knob(
         "m", "farthest (or rad) that the ends may be apart when the clutch closes, of a law that compares positions; "
         "none: any", above=0.0)] = None,
+    align: Annotated[PerAxis | None, Knob(
+        "m/s", "speed (or rad/s) by which the arm is brought to the handle before the clutch closes; 0 on an axis that "
+        "counts anew; none: none is", low=0.0)] = None,
+    align_most: Annotated[PerAxis | None, Knob(
+        "m", "longest way (or rad) of that; none: any", above=0.0)] = None,
     needs_clutch: Annotated[bool, Knob("", "refuse a master's device without a clutch")] = False,
     needs_present: Annotated[bool, Knob("", "refuse a master's device without an operator-present switch")] = False,
     observer: knob.ObserverBandwidth = 200.0,
@@ -69,7 +74,7 @@ def scene(
         watchdog=None if timeout is None else Watchdog(timeout=timeout, age=age),
         cap=each_axis(Cap.of, axes, f_max=f_max, slew=slew, v_max=v_max, power=power),
         operator=Operator(clutch=spans("clutch", clutch), absent=spans("absent", absent), ramp=clutch_ramp,
-                          closes_within=closes_within, needs=needs),
+                          closes_within=closes_within, needs=needs, align=align, align_most=align_most),
         observer=observer,
         energy=energy,
         dt=dt,
