@@ -32,6 +32,18 @@ Turning = law_of(  # that of `Metered` with messages that tell an orientation
     master_start=lambda self, at: (Port(0.0, at.x, 0.0, 0.0, 0.0), Place(at.x)),
     slave_start=lambda self, at: ((), Place(at.x)),
     slave=lambda self, s, at, rx: (self.K * (rx.x - at.x) - self.B * at.v, Place(at.x), ()))
+class Spring(NamedTuple):
+    E: float  # what the law's own force took in over the motion that it was told, J
+    push: float  # that force, N
+
+
+OfItsForce = law_of(  # as `Metered`, by the force that it answered and not by the one that it is told was held
+    name="OfItsForce", shows=("E",), master=lambda self, s, at, rx: (
+        self.K * (at.x - rx.x) + self.B * at.v, Place(at.x),
+        Spring(s.E + s.push * at.dx, self.K * (at.x - rx.x) + self.B * at.v)),
+    master_start=lambda self, at: (Spring(0.0, 0.0), Place(at.x)),
+    slave_start=lambda self, at: ((), Place(at.x)),
+    slave=lambda self, s, at, rx: (self.K * (rx.x - at.x) - self.B * at.v, Place(at.x), ()))
 OUTAGE = "delay(0.01) | uniform(0.005) | blackout(0.7, 0.4)"
 
 
@@ -65,6 +77,16 @@ def test_the_work_at_the_device_is_that_at_the_laws_port_however_the_scale_is_to
         assert np.ptp(device) > 1e-3, "there was work"
         assert np.abs(np.diff(device) - np.diff(law)).max() <= 1e-14 + size
         assert np.abs(device - law).max() <= 1e-12 + 10.0 * size
+
+
+def test_the_motion_of_a_tick_has_the_scale_that_its_force_was_held_with() -> None:
+    """So the law's own force does the work of the device's, tick by tick, in three axes with a clutch that bounces."""
+    each_tick = tuple([(0.01 + 0.001 * n, (0.5, 2.0)[n % 2]) for n in range(64)])
+    of = scene(Operator(clutch=bouncing(1), ramp=0.03, scales=each_tick, scale_ramp=0.001),
+               OfItsForce(K=100.0, B=0.5), axes=3, hand=None, environment=None, start_m=(0.05, -0.02, 0.03))
+    trace = run(of).trace
+    assert np.ptp(trace["E_port_m"]) > 1e-3
+    assert trace["E_m"].sum(axis=1) == pytest.approx(trace["E_port_m"], abs=1e-12)
 
 
 @pytest.mark.parametrize("law", ["wave", *[pytest.param(law, marks=pytest.mark.full)
