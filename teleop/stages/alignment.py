@@ -61,9 +61,9 @@ def bring(stage: Any, run: Run, e: End, a: Axis, port: Any) -> None:
     step = port.group.drives * port.step
     port.x_law = port.x_law + step
     port.offset = port.offset - step
-    stage.E_align = stage.E_align + port.f_law * step
+    stage.E_align = stage.E_align + port.f_answer * step
     a.at = At(port.x_law, a.at.v + step / (run.dt * stage.ticks_by if e.has.leaves_out else run.dt), a.at.f,
-              a.at.f_held + port.group.drives * port.f_law, a.at.dx + step, a.at.fresh, a.at.age, a.at.dt, a.at.span,
+              a.at.f_held + port.group.drives * port.f_answer, a.at.dx + step, a.at.fresh, a.at.age, a.at.dt, a.at.span,
               a.at.gain)
     if not port.turns:
         port.way = port.offset

@@ -315,7 +315,7 @@ class Held(Record):
     way: float  # the way that an alignment has to go, m
     step: float  # what of it comes next
     jump: float  # by which it is put beside the slave at first
-    f_law: float  # what the law answered, N
+    f_answer: float  # what the law answered, N
 
 
 class Group(Record):
@@ -415,7 +415,7 @@ class OperatorStage(Stage):
         for a, port in zip(e.axes, self.axes, strict=True):
             port.x_law = self.c_switch.start[a.i] if self.starts else a.x_read
             port.offset = a.x_read - port.x_law
-            port.apart = port.moved = port.way = port.step = port.f_law = 0.0
+            port.apart = port.moved = port.way = port.step = port.f_answer = 0.0
         if self.shape.aligned:
             self.E_align, self.unmet, self.ticks_by = 0.0, 1.0, 1
         for t in self.turns:
@@ -449,7 +449,7 @@ class OperatorStage(Stage):
     def act(self, run: Run, e: End, k: int) -> None:
         for a, port in zip(e.axes, self.axes, strict=True):
             if port.aligned:
-                port.f_law = a.f_cmd
+                port.f_answer = a.f_cmd
             a.f_cmd = port.group.g * self.scale * a.f_cmd if port.sized else port.group.g * a.f_cmd
         if self.rx_position or self.shape.aligned:
             look_ahead(self, e)
