@@ -106,15 +106,16 @@ class InputWriter:
 
         `index`: where the law's positions count from (m, per axis), if not from the device's zero.
         """
-        _, x, v, touch, got, newest, rx, waves, gain, held, since, clutch, present, wants, renewed, action = inputs
+        _, x, v, touch, got, newest, rx, waves, gain, held, since, *operator = inputs
         heard = self._nothing if rx is None else rx[0] if len(rx) == 1 else flat(rx)
         answer = tx[0] if len(tx) == 1 else flat(tx)
         if sent is not None:
             heard = *heard, *(self._no_waves if waves is None else flat(waves))
             answer = *answer, *flat(sent)
-        switches = (clutch, present) if self._operated else ()
+        switches = operator[:3] if self._operated else []
         if self._handed:
-            switches = *switches, wants, renewed, *action
+            wants, renewed, action = operator[3:]
+            switches = [*switches, wants, renewed, *action]
         self._rows += self._pack(k, since, session, got, newest, gain, *switches, *x, *v, *(touch or ()), *held, *heard,
                                  *(index or self._no_index), *force, *answer)
         self._room = len(self._arrivals) + self._most

@@ -83,7 +83,7 @@ class TickInputs(NamedTuple):
     f_held: Axes
     rx: Axes  # the message, axis by axis; zeros where there is none
     waves: Axes  # and what its waves have come to, where that is sent along
-    switches: Axes  # of the operator: clutch, presence and scale, as a `LiveTick` has them
+    switches: tuple[float, float, float]  # of the operator: clutch, presence and scale, as a `LiveTick` has them
     policy: tuple[float, float, Axes | None]  # its switch, whether an action came, and the newest
     origin: Axes | None  # where the positions count from, m; None: the device's zero
 
@@ -107,7 +107,7 @@ def tick_inputs(end: EndFolder) -> Iterator[tuple[TickInputs, list[float]]]:
             x, v, held, rx, waves, index = [tuple(row[one]) for one in places]
             yield TickInputs(int(k), int(session), fresh != 0.0, newest, gain, int(since), x, v,
                        None if sensed is None else tuple(row[sensed]), held, rx, waves,
-                       (0.0, 1.0, 1.0) if switches is None else tuple(row[switches]),
+                       (0.0, 1.0, 1.0) if switches is None else (row[switches][0], row[switches][1], row[switches][2]),
                        (0.0, 0.0, None) if policy is None else (*row[policy.start:policy.start + 2],
                                                                 tuple(row[at["action"]])),
                        None if isnan(index[0]) else index), row[answer:]
