@@ -231,8 +231,14 @@ class Controls:
         return [float(f"{2.5 * max(LEAST_SPAN / 2.5, abs(wall or 0.0), far):.2g}")
                 for far, wall in zip(most, self._walls(self._short), strict=True)]
 
-    @cached_property
+    @property
     def swing(self) -> HandSwing | None:
+        """Swing of the hand by which the slave stays in free space at the scale that is set; None: the scene's own."""
+        swing, scale = self._swing, max(1.0, self.scale)
+        return None if swing is None else swing._replace(by=tuple([each / scale for each in swing.by]))
+
+    @cached_property
+    def _swing(self) -> HandSwing | None:
         """Swing of the hand in free space, where the scene's own motion comes to rest; None where it goes on."""
         last = round(1.0 / self._short.dt)  # the ticks of the last second
         if any(min(path[-last:]) != max(path[-last:]) for path in self._paths):

@@ -157,6 +157,7 @@ class Page:
 
     def _order_scale(self, scale: float) -> None:
         """Have the master change the scale of the slave's motion, in the session that runs."""
+        self._shaking.note_motion()
         self._children.order({"order": "scale", "to": scale}, "master")
 
     def forget(self, page: Hashable) -> None:

@@ -141,6 +141,16 @@ def test_a_scale_is_ordered_of_the_master_without_a_switch_and_one_that_is_none_
     served(scenario)
 
 
+def test_at_twice_the_scale_the_hands_own_swing_was_told_to_be_unstable_for_it_took_the_slave_into_the_wall() -> None:
+    controls = Controls("hard_wall", {})
+    before = controls.swing
+    controls.set_scale(2.0)
+    assert before is not None
+    assert controls.swing == before._replace(by=tuple([each / 2.0 for each in before.by]))
+    with pytest.raises(Refused, match="at most 4"):
+        controls.set_scale(5.0)
+
+
 def test_the_clutch_is_open_while_it_is_held_and_a_turn_waits_for_it(served: Serve) -> None:
     async def scenario(page: Served) -> None:
         async with page.open() as browser:
