@@ -8,7 +8,7 @@ or a law in a file of the user's own is completed by its path; for its knobs the
 from __future__ import annotations
 
 import os
-from argparse import Action, ArgumentParser, Namespace, _SubParsersAction
+from argparse import Action, ArgumentParser, Namespace
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +18,7 @@ from teleop.errors import Refused
 from teleop.scene.catalogue import find, names
 from teleop.scene.knobs import COMMON
 from teleop.terminal.listing import PLAYOUTS, TABLES, meaning_of
-from teleop.terminal.options import FORMATS
+from teleop.terminal.options import FORMATS, commands_of
 
 if TYPE_CHECKING:
     from teleop.knob import Declared
@@ -53,16 +53,13 @@ def complete(parser: ArgumentParser) -> None:
     from argcomplete.completers import SuppressCompleter
     from argcomplete.finders import CompletionFinder
 
-    for name, each in commands_of(parser).items():
+    commands = commands_of(parser)
+    actions = {f"{name} {action}": each for name, of in commands.items() for action, each in commands_of(of).items()}
+    for name, each in {**commands, **actions}.items():
         for action in each._actions:
             if (words := completer_of(name, action)) is not None:
                 action.completer = words  # type: ignore[attr-defined]  # where argcomplete looks
     CompletionFinder()(parser, always_complete_options="long", default_completer=SuppressCompleter())
-
-
-def commands_of(parser: ArgumentParser) -> dict[str, ArgumentParser]:
-    """The commands of a parser by their names, each with its own parser."""
-    return next((dict(each.choices) for each in parser._actions if isinstance(each, _SubParsersAction)), {})
 
 
 def completer_of(command: str, action: Action) -> Callable[..., Words] | None:
@@ -196,7 +193,8 @@ def _publications() -> Words:
 
 COMPLETERS: dict[str, Callable[..., Words]] = {
     "SCENE": scenes, "LAW": one_of(_names_of("laws")), "NAME=VALUE": settings, "KNOB=VALUES": settings,
-    "KNOB": knob_names, "FILE": files, "DIR": runs, "FOLDER": runs, "RUN": runs, "SLAVE": runs,
+    "KNOB": knob_names, "FILE": files, "PLAN": files, "STUDY": runs,
+    "DIR": runs, "FOLDER": runs, "RUN": runs, "SLAVE": runs,
     "METHOD:N": one_of(_methods), "FORMATS": several_of(lambda: dict.fromkeys(FORMATS, "")),
     "--laws": several_of(_names_of("laws")), "--metrics": several_of(_metrics), "--metric": several_of(_metrics),
     "--playouts": several_of(_playouts),

@@ -13,7 +13,7 @@ from math import exp, isfinite, log, nan
 from typing import Any
 
 from teleop.people.contrasts import Contrast, Value, between, holm, mean_interval, within
-from teleop.people.fit import Fit, common_lapse, fit, grouped, with_interval
+from teleop.people.fit import Fit, fit, grouped, with_interval
 from teleop.people.journal import of_kind
 from teleop.people.plan import ON_A_LOG_SCALE, Design, Exclusion, Measure, QuestionKind, StudyPlan
 from teleop.people.scores import throughput, tlx_raw, tlx_weighted, tlx_weights
@@ -188,7 +188,7 @@ def measured(plan: StudyPlan, felt: Felt, measure: Measure, cells: Sequence[Cell
     some = [i for i, each in enumerate(pairs) if each]
     if some:
         answers = grouped([pairs[i] for i in some])
-        for i, one in zip(some, fit(answers, common_lapse(answers)), strict=True):
+        for i, one in zip(some, fit(answers, plan.analysis.lapse), strict=True):
             values[i] = nan if one.is_at_bound else log(one.w) if measure is Measure.W else one.bias
     return values
 

@@ -11,13 +11,14 @@ from math import isfinite, log, sqrt
 from pathlib import Path
 from typing import Any
 
-from teleop.errors import Refused, number_of
+from teleop.errors import Refused, nearest, number_of
 from teleop.people.adaptive import phi
 from teleop.people.analysis import Analysed, Findings, analyse, every_pair
-from teleop.people.felt import check_levels, compliance, felt_stiffness, limen, trial_scene
-from teleop.people.plan import ON_A_LOG_SCALE, UNITS, Design, Measure, StudyPlan, TaskKind
+from teleop.people.felt import check_levels, compliance, felt_stiffness, limen, with_stiffness
+from teleop.people.plan import OF_TASK, ON_A_LOG_SCALE, UNITS, Design, Measure, StudyPlan
 from teleop.people.plan_file import read_plan
 from teleop.people.schedule import seconds_of, trials_of
+from teleop.people.session import check_modality
 from teleop.people.simulated import Person, simulate_session
 from teleop.people.study import Study, check_lock, create_study, open_study, write_lock
 from teleop.simulation.result import versions
@@ -43,8 +44,6 @@ def check(args: Namespace) -> Answer:
     path = Path(args.plan)
     plan = read_plan(path)
     is_locked = check_lock(path, plan)
-    for condition in plan.conditions:  # a condition that cannot be made is refused here
-        trial_scene(plan, condition, plan.task.standard)
     felt = felt_stiffness(plan)
     check_levels(plan, felt)
     minutes, most = seconds_of(plan) / 60.0, plan.participants.most
@@ -67,7 +66,7 @@ def check(args: Namespace) -> Answer:
         "minutes": WithUnit(minutes, "min"), "disk": WithUnit(disk, "bytes"), "rows": rows, "trials": trials_of(plan),
         "power": power, "felt": _felt_document(plan, felt)}, head={})}
     text = facts(lines)
-    if plan.task.kind is TaskKind.COMPARE:
+    if with_stiffness(plan):
         text += "\n\n" + _felt_table(plan, felt)
     return Answer(text, document)
 
@@ -166,7 +165,8 @@ def contrast_pairs(study: Study) -> list[tuple[str, str]]:
 def analyse_command(args: Namespace) -> Answer:
     """Analyse a study: measures of each condition, contrasts, effect sizes, and what was left out, before and after."""
     study = open_study(args.folder)
-    measure = None if args.measure is None else Measure(args.measure)
+    measure = study.plan.analysis.primary if args.measure is None else _measure(study.plan, args.measure)
+    check_modality(study.plan, measure, (row.get("modality") for _, rows in study.rows() for row in rows))
     study.write_tables()
     analysed = analyse(study.plan, study.key.felt, study.rows(), contrast_pairs(study), measure)
     if not analysed.before.trials:
@@ -181,12 +181,20 @@ def analyse_command(args: Namespace) -> Answer:
     return Answer(_text(study, analysed), document)
 
 
+def _measure(plan: StudyPlan, name: str) -> Measure:
+    measures = OF_TASK[plan.task.kind]
+    if name not in [each.value for each in measures]:
+        raise Refused(f"a task {plan.task.kind} has no measure {name!r}; {nearest(name, measures)}")
+    return Measure(name)
+
+
 def _document(study: Study, analysed: Findings) -> dict[str, Any]:
     label = study.label
     return {"people": analysed.people, "trials": analysed.trials,
             "conditions": [{**asdict(each), "letter": label(each.letter), "low": finite(each.low),
                             "high": finite(each.high)} for each in analysed.summaries],
-            "contrasts": [{**asdict(each), "first": label(each.first), "second": label(each.second)}
+            "contrasts": [{**asdict(each), "corrected_interval": each.effect_interval(study.plan.analysis.alpha),
+                           "first": label(each.first), "second": label(each.second)}
                           for each in analysed.contrasts],
             "pooled": {label(letter): {"w": each.w, "low": each.low, "high": finite(each.high), "bias": each.bias,
                                        "lapse": each.lapse, "trials": each.trials}
@@ -228,7 +236,7 @@ def _findings_text(study: Study, analysed: Findings, measure: Measure) -> str:
     for of in analysed.contrasts:
         tests.append([f"{study.label(of.first)} - {study.label(of.second)}", str(of.people), f"{of.estimate:+.4f}",
                       _interval(of.low, of.high), f"{of.t:.3f}", f"{of.df:.0f}", _p(of.p), _p(of.p_corrected),
-                      f"{of.corrected:.2f}", _interval(of.corrected_low, of.corrected_high)])
+                      f"{of.corrected:.2f}", _interval(*of.effect_interval(study.plan.analysis.alpha))])
     note = "" if len(tests) > 1 else "\nno contrast: three people at least with both conditions are needed"
     return columns(lines) + ("\n\n" + columns(tests) if len(tests) > 1 else note)
 
@@ -279,8 +287,13 @@ def rerun(args: Namespace) -> Answer:
     if not record.is_dir():
         raise Refused(f"trial {args.trial} has no record of a hand" + (": its person is simulated" if study.simulated
                       else "; it was removed") + ", so there is nothing to run again")
-    knobs = {name: value for name, value in knobs_of(
-        study.plan, study.key.conditions[row["letter"]], row["level"]).items() if name.partition(".")[0] != "law"}
+    condition = study.key.conditions[row["letter"]]
+    tells = any(name.partition(".")[0] != "law" for each in study.plan.conditions for name in each.knobs)
+    if tells and not study.looks():
+        raise Refused("a trial's knobs would tell its condition, and the study is blind; type teleop study unblind "
+                      f"{study.folder} first")
+    knobs = {name: value for name, value in knobs_of(study.plan, condition, row["level"]).items()
+             if name.partition(".")[0] != "law"}
     scene = load_scene(study.plan.scene, **knobs, law=args.law, hand=str(record))
     with new_folder(args.out, f"{study.plan.name}-rerun") as new:
         result = run(scene, seed=study.plan.seed, clock=args.nanoseconds)

@@ -55,9 +55,12 @@ class Contrast:
     p: float
     effect: float  # d_z, or d_s between people
     corrected: float  # g_z, or g_s
-    corrected_low: float
-    corrected_high: float
     p_corrected: float = nan
+
+    def effect_interval(self, alpha: float = 0.05) -> tuple[float, float]:
+        """The interval of the corrected effect size."""
+        low, high = noncentrality(self.t, self.df, alpha)
+        return low * self.corrected / self.t, high * self.corrected / self.t
 
 
 def within(values: Sequence[Value], first: str, second: str, alpha: float = 0.05) -> Contrast | None:
@@ -87,24 +90,23 @@ def between(values: Sequence[Value], first: str, second: str, alpha: float = 0.0
 
 
 def _tested(first: str, second: str, people: int, design: Floats, y: Floats, alpha: float) -> Contrast | None:
-    """Test the first coefficient of least squares."""
+    """Test the first coefficient of least squares; None where the others explain it as well, as a fixed order does."""
     functions = special()
     solution, _, rank, _ = np.linalg.lstsq(design, y, rcond=None)
     df = len(y) - int(rank)
-    if df < 1:
+    if df < 1 or np.linalg.matrix_rank(design[:, 1:]) == rank:
         return None
     rest = y - design @ solution
     sigma = sqrt(float(rest @ rest) / df)
     scale = sqrt(float(np.linalg.pinv(design.T @ design)[0, 0]))  # of d = contrast/sigma: t = d/scale
     error = sigma * scale
     estimate = float(solution[0])
-    if not error > 0.0:
+    if not error > 0.0 or estimate == 0.0:
         return None
     t = estimate / error
     half = float(functions.stdtrit(df, 1.0 - 0.5 * alpha)) * error
-    low, high = (each * scale * small_sample(df) for each in noncentrality(t, df, alpha))
     return Contrast(first, second, people, estimate, estimate - half, estimate + half, t, df,
-                    float(2.0 * functions.stdtr(df, -abs(t))), t * scale, t * scale * small_sample(df), low, high)
+                    float(2.0 * functions.stdtr(df, -abs(t))), t * scale, t * scale * small_sample(df))
 
 
 def small_sample(df: float) -> float:

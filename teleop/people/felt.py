@@ -28,6 +28,7 @@ from teleop.scene.loading import load_scene
 from teleop.scene.scene import Scene
 from teleop.simulation.virtual import run
 
+STIFFNESS = "k_e"  # the knob of a wall's stiffness in all scenes
 ALIKE = 0.01  # of the compliance: what one series spring explains
 
 
@@ -51,6 +52,11 @@ def hardest(c: float, w: float, z: float = 1.0) -> float:
     return 1.0 / (c * (exp(z * sqrt(2.0) * w) - 1.0)) if c > 0.0 else float("inf")
 
 
+def with_stiffness(plan: StudyPlan) -> bool:
+    """True if walls of different stiffness are compared."""
+    return plan.task.kind is TaskKind.COMPARE and plan.task.knob == STIFFNESS
+
+
 def trial_scene(plan: StudyPlan, condition: StudyCondition, level: float | None = None) -> Scene:
     """The scene of an interval: the plan's, with the condition's knobs and the level's. Raises `Refused`."""
     return load_scene(plan.scene, **knobs_of(plan, condition, level))
@@ -63,10 +69,18 @@ def knobs_of(plan: StudyPlan, condition: StudyCondition, level: float | None = N
 
 
 def felt_stiffness(plan: StudyPlan) -> dict[str, dict[float, float]]:
-    """The felt stiffness of standard and levels under each condition, by its name. Raises `Refused`."""
+    """The felt stiffness of standard and levels under each condition, by its name. Raises `Refused`.
+
+    Of another knob than a stiffness the level itself is what is compared. All scenes are made, so that a plan whose
+    knobs are wrong is refused.
+    """
+    for each in plan.conditions:
+        trial_scene(plan, each, plan.task.standard)
     if plan.task.kind is not TaskKind.COMPARE:
         return {each.name: {} for each in plan.conditions}
     levels = tuple(sorted({plan.task.standard, *plan.task.levels}))
+    if plan.task.knob != STIFFNESS:
+        return {each.name: {level: level for level in levels} for each in plan.conditions}
     return {each.name: dict(zip(levels, _of_levels(plan, each, levels), strict=True)) for each in plan.conditions}
 
 
@@ -97,7 +111,7 @@ def compliance(felt: Mapping[float, float], standard: float) -> float:
 def check_levels(plan: StudyPlan, felt: Mapping[str, Mapping[float, float]]) -> None:
     """Refuse levels at which no harder wall could be told, however hard. Raises `Refused`."""
     task, w = plan.task, plan.simulated.w
-    if task.kind is not TaskKind.COMPARE:
+    if not with_stiffness(plan):
         return
     harder = any(level > task.standard for level in task.levels)
     for name, of in felt.items():

@@ -5,8 +5,16 @@
 x keeps its sign, and the answer is which interval was stiffer: folded to |x| and correct, a bias towards one interval
 would widen w. With the slope a = 1/(sqrt 2 w) and m = a bias this is a probit in a x + m, whose likelihood is climbed
 by Fisher's scoring with steps halved until they lead up, within `LEAST_W` and `MOST_W`; the lapse, between 0 and
-`MOST_LAPSE`, is found outside of that by golden sections. The interval is that of the profile likelihood: all w whose
-greatest likelihood over bias and lapse is within half a quantile of chi2(1) of the greatest one.
+`MOST_LAPSE`, is found outside of that by golden sections.
+
+A person answers some dozens of trials, and the likeliest w of so few is biased downwards, and 0 where no answer was
+wrong. So a person's fit has its bias reduced (D. Firth, "Bias reduction of maximum likelihood estimates", Biometrika
+80, 1993): half the logarithm of the information's determinant is added, Jeffreys' prior. Over 64 trials at four levels
+and w = .15 the mean of ln w is then off by .02 with a standard deviation of .20, and without it by -.11 with .41. Nor
+do so few tell a lapse from a small w: it is the plan's (`Analysis.lapse`), the same for all people and conditions.
+
+The interval of a w is that of the profile likelihood, without the prior: all w whose greatest likelihood over bias and
+lapse is within half a quantile of chi2(1) of the greatest one.
 """
 
 from __future__ import annotations
@@ -25,6 +33,7 @@ Floats = NDArray[np.float64]
 MOST_LAPSE = 0.1
 LEAST_W, MOST_W = 0.005, 5.0  # at one of these the answers tell no w
 _STEPS, _HALVINGS, _SECTIONS = 25, 6, 12  # of scoring, of one of its steps, of the lapse
+_TINY = 1e-4  # step of a difference quotient
 _GOLDEN = 0.5 * (sqrt(5.0) - 1.0)
 
 
@@ -59,8 +68,8 @@ class Fit:
 
     @property
     def is_at_bound(self) -> bool:
-        """True if the answers tell no w: all correct, or as by chance."""
-        return not LEAST_W * 1.01 < self.w < MOST_W / 1.01
+        """True if the answers tell no w: all as a w of 0 would have them, or as by chance."""
+        return not LEAST_W * 1.01 < self.w < MOST_W / 1.01 or self.likelihood > -1e-6
 
 
 class Climbed(NamedTuple):
@@ -69,6 +78,18 @@ class Climbed(NamedTuple):
     a: Floats
     m: Floats
     likelihood: Floats
+
+
+class _Point(NamedTuple):
+    """The likelihood of each row at a slope and a shift, its slope there, and Fisher's information."""
+
+    value: Floats
+    g_a: Floats
+    g_m: Floats
+    i_aa: Floats
+    i_am: Floats
+    i_mm: Floats
+    determinant: Floats
 
 
 def grouped(several: Sequence[Sequence[tuple[float, bool]]]) -> Answers:
@@ -84,48 +105,61 @@ def grouped(several: Sequence[Sequence[tuple[float, bool]]]) -> Answers:
     return Answers(*room)
 
 
-def climb(answers: Answers, lapse: Floats, a: Floats | None = None) -> Climbed:
-    """The likeliest slope and shift of each row with its `lapse`; with these slopes `a`, the shift alone."""
+def climb(answers: Answers, lapse: Floats, a: Floats | None = None, *, reduced: bool = False) -> Climbed:
+    """The likeliest slope and shift of each row with its `lapse`; with these slopes `a`, the shift alone.
+
+    `reduced`: with half the logarithm of the information's determinant added to the logarithm of the likelihood.
+    """
     x, shown, second = answers
     first, ndtr, attentive = shown - second, special().ndtr, (1.0 - lapse)[:, None]
 
-    def likelihood(a: Floats, m: Floats) -> tuple[Floats, Floats, Floats]:
+    def at(a: Floats, m: Floats) -> _Point:
         z = a[:, None] * x + m[:, None]
         p = np.clip(0.5 * lapse[:, None] + attentive * ndtr(z), 1e-12, 1.0 - 1e-12)
-        return (second * np.log(p) + first * np.log1p(-p)).sum(axis=1), z, p
-
-    slope = 1.0 / (sqrt(2.0) * np.array([MOST_W, LEAST_W]))
-    is_free = a is None
-    spread = np.abs(x * shown).sum(axis=1) / shown.sum(axis=1)
-    a = 1.0 / np.maximum(spread, 1e-3) if a is None else a
-    m = np.zeros_like(a)
-    value, z, p = likelihood(a, m)
-    for _ in range(_STEPS):
         density = attentive * np.exp(-0.5 * z * z) / sqrt(2.0 * pi)
         by_z = (second - shown * p) * density / (p * (1.0 - p))
         weight = shown * density * density / (p * (1.0 - p)) + 1e-12
-        g_a, g_m = (by_z * x).sum(axis=1), by_z.sum(axis=1)
-        i_aa, i_am, i_mm = (weight * x * x).sum(axis=1), (weight * x).sum(axis=1), weight.sum(axis=1)
+        weight_x = weight * x
+        i_aa, i_am, i_mm = (weight_x * x).sum(axis=1), weight_x.sum(axis=1), weight.sum(axis=1)
+        determinant = np.maximum(i_aa * i_mm - i_am * i_am, 1e-12 * i_aa * i_mm)
+        value = (second * np.log(p) + first * np.log1p(-p)).sum(axis=1)
+        return _Point(value + 0.5 * np.log(determinant) if reduced else value, (by_z * x).sum(axis=1),
+                      by_z.sum(axis=1), i_aa, i_am, i_mm, determinant)
+
+    def of_information(a: Floats, m: Floats) -> tuple[Floats, Floats]:
+        """The slope of half the logarithm of the determinant."""
+        ends = [np.log(at(a + step_a * a, m + step_m).determinant)
+                for step_a, step_m in ((_TINY, 0.0), (-_TINY, 0.0), (0.0, _TINY), (0.0, -_TINY))]
+        return (ends[0] - ends[1]) / (4.0 * _TINY * a), (ends[2] - ends[3]) / (4.0 * _TINY)
+
+    slopes = 1.0 / (sqrt(2.0) * np.array([MOST_W, LEAST_W]))
+    is_free = a is None
+    a = 1.0 / np.maximum(np.abs(x * shown).sum(axis=1) / shown.sum(axis=1), 1e-3) if a is None else a
+    m = np.zeros_like(a)
+    here = at(a, m)
+    for _ in range(_STEPS):
+        g_a, g_m = here.g_a, here.g_m
+        if reduced:
+            more_a, more_m = of_information(a, m)
+            g_a, g_m = g_a + more_a, g_m + more_m
         if is_free:
-            determinant = np.maximum(i_aa * i_mm - i_am * i_am, 1e-12 * i_aa * i_mm)
-            step_a, step_m = (i_mm * g_a - i_am * g_m) / determinant, (i_aa * g_m - i_am * g_a) / determinant
+            step_a = (here.i_mm * g_a - here.i_am * g_m) / here.determinant
+            step_m = (here.i_aa * g_m - here.i_am * g_a) / here.determinant
         else:
-            step_a, step_m = np.zeros_like(a), g_m / i_mm
+            step_a, step_m = np.zeros_like(a), g_m / here.i_mm
         size = np.ones_like(a)
         for _ in range(_HALVINGS):
-            new_a, new_m = a + size * step_a, np.clip(m + size * step_m, -8.0, 8.0)
-            new_a = np.clip(new_a, *slope) if is_free else new_a
-            new_value = likelihood(new_a, new_m)[0]
-            leads_down = new_value < value
+            new_a = np.clip(a + size * step_a, *slopes) if is_free else a
+            new_m = np.clip(m + size * step_m, -8.0, 8.0)
+            leads_down = at(new_a, new_m).value < here.value
             if not leads_down.any():
                 break
             size = np.where(leads_down, 0.5 * size, size)
-        rises = np.where(leads_down, 0.0, new_value - value)
         a, m = np.where(leads_down, a, new_a), np.where(leads_down, m, new_m)
-        value, z, p = likelihood(a, m)
-        if not (rises > 1e-10).any():
+        before, here = here.value, at(a, m)
+        if not (here.value > before + 1e-9).any():
             break
-    return Climbed(a, m, value)
+    return Climbed(a, m, here.value)
 
 
 def likeliest_lapse(likelihood: Callable[[Floats], Floats], rows: int) -> Floats:
@@ -140,53 +174,41 @@ def likeliest_lapse(likelihood: Callable[[Floats], Floats], rows: int) -> Floats
     return np.asarray(tried[best, np.arange(rows)])
 
 
-def common_lapse(answers: Answers) -> float:
-    """The lapse with which all rows, each with a w and a bias of its own, are likeliest together.
-
-    With a lapse for each row, a person's few wrong answers to easy levels are as likely a lapse with a small w as none
-    with a large one, and w is all over the place.
-    """
-    rows = len(answers.x)
-
-    def together(lapse: Floats) -> Floats:
-        return np.asarray(climb(answers, np.repeat(lapse, rows)).likelihood.sum(keepdims=True))
-
-    return float(likeliest_lapse(together, 1)[0])
-
-
 def fit(answers: Answers, lapse: float | None = None) -> list[Fit]:
-    """Fit an observer to each row, where the `lapse` is known with that one."""
+    """Fit an observer to each row; where the `lapse` is known with that one, and with the bias reduced."""
     rows = len(answers.x)
     lapses = (np.full(rows, lapse) if lapse is not None else
               likeliest_lapse(lambda each: climb(answers, each).likelihood, rows))
-    got = climb(answers, lapses)
+    got = climb(answers, lapses, reduced=lapse is not None)
     return [Fit(1.0 / (sqrt(2.0) * a), m / a, each, value, int(shown)) for a, m, value, each, shown in zip(
         *(part.tolist() for part in got), lapses.tolist(), answers.shown.sum(axis=1), strict=True)]
 
 
+def deviance(answers: Answers, likelihood: Floats, log_w: Floats) -> Floats:
+    """Twice the logarithm of the likelihood that each row loses by its w, whatever bias and lapse, against its best."""
+    slopes = np.exp(-log_w) / sqrt(2.0)
+    best = likeliest_lapse(lambda lapse: climb(answers, lapse, slopes).likelihood, len(log_w))
+    return np.asarray(2.0 * (likelihood - climb(answers, best, slopes).likelihood))
+
+
 def with_interval(answers: Answers, fitted: Fit, level: float) -> Fit:
-    """The fit of one row with the interval of its w."""
+    """The fit of one row with the profile-likelihood interval of its w."""
     if fitted.is_at_bound:
         return fitted
-    threshold = fitted.likelihood - 0.5 * float(special().chdtri(1, 1.0 - level))
-
-    def outside(log_w: Floats) -> NDArray[np.bool_]:
-        """True for each w that is less likely than the interval's ends."""
-        rows = Answers(*(np.repeat(part, len(log_w), axis=0) for part in answers))
-        slopes = np.exp(-log_w) / sqrt(2.0)
-        best = likeliest_lapse(lambda lapse: climb(rows, lapse, slopes).likelihood, len(log_w))
-        return np.asarray(climb(rows, best, slopes).likelihood < threshold)
-
+    threshold = float(special().chdtri(1, 1.0 - level))
     ends = []
     for bound, none in ((log(LEAST_W), 0.0), (log(MOST_W), inf)):
-        near, far, is_bounded = log(fitted.w), bound, True
-        for _ in range(4):  # each finds the end 16 times as closely
-            grid = np.linspace(near, far, 17)[1:]
-            beyond = np.flatnonzero(outside(grid))
+        near, end = log(fitted.w), none
+        grid = near + (bound - near) * np.linspace(0.0, 1.0, 25)[1:] ** 2
+        for _ in range(2):  # among steps that widen outwards, then within one of them
+            rows = Answers(*(np.repeat(part, len(grid), axis=0) for part in answers))
+            lost = deviance(rows, np.full(len(grid), fitted.likelihood), grid)
+            beyond = np.flatnonzero(lost >= threshold)
             if not len(beyond):
-                is_bounded = False
                 break
             i = int(beyond[0])
-            near, far = (near if i == 0 else float(grid[i - 1])), float(grid[i])
-        ends.append(exp(0.5 * (near + far)) if is_bounded else none)
+            inner, lost_inner = (near, 0.0) if i == 0 else (float(grid[i - 1]), float(lost[i - 1]))
+            end = exp(inner + (grid[i] - inner) * (threshold - lost_inner) / (float(lost[i]) - lost_inner))
+            near, grid = inner, np.linspace(inner, float(grid[i]), 12)[1:]
+        ends.append(end)
     return replace(fitted, low=ends[0], high=ends[1])

@@ -171,6 +171,7 @@ class Analysis:
     contrasts: tuple[tuple[str, str], ...]
     correction: str = "holm"
     alpha: float = 0.05
+    lapse: float = 0.02  # share of answers by chance that a person's fit reckons with
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -324,7 +324,8 @@ def _analysis(table: object, conditions: tuple[StudyCondition, ...], task: Trial
     if correction not in ("holm", "none"):
         raise Refused(f"{at}: correction is holm or none, not {correction!r}; write correction = \"holm\"")
     return Analysis(primary=primary, contrasts=tuple((first, second) for first, second in pairs),
-                    correction=correction, alpha=_number(table, "alpha", at, 0.05, above=0.0, high=0.5))
+                    correction=correction, alpha=_number(table, "alpha", at, 0.05, above=0.0, high=0.5),
+                    lapse=_number(table, "lapse", at, 0.02, low=0.0, high=0.1))
 
 
 def _power(file: Mapping[str, Any], where: str) -> Power | None:
@@ -355,12 +356,9 @@ def _simulated(file: Mapping[str, Any], conditions: tuple[StudyCondition, ...], 
 
 def _check_balance(plan: StudyPlan, where: str) -> None:
     """Refuse numbers of people with whom orders are not balanced."""
-    rows, multiple = plan.rows, plan.participants.multiple_of
+    rows = plan.rows
     if plan.participants.least % rows or plan.participants.most % rows:
         kind = "conditions" if plan.design is Design.BETWEEN else "orders"
         raise Refused(f"{where} [participants]: least {plan.participants.least} and most {plan.participants.most} are "
                       f"not both multiples of the {rows} {kind}, so some would stand more often; write multiple_of = "
-                      f"{rows}")
-    if multiple % rows:
-        raise Refused(f"{where} [participants]: multiple_of is {multiple}, no multiple of the {rows} rows of the "
-                      f"design; write multiple_of = {rows}")
+                      f"{rows}, and numbers to suit")

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -80,9 +81,10 @@ def dice(*key: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=np.array([key[0], 0x70656F706C65], np.uint64), counter=words))
 
 
-def permutation(n: int, *key: int) -> list[int]:
+@lru_cache(maxsize=4096)
+def permutation(n: int, *key: int) -> tuple[int, ...]:
     """The numbers below n in a random order."""
-    return [int(each) for each in dice(*key).random(n).argsort(kind="stable")]
+    return tuple(int(each) for each in dice(*key).random(n).argsort(kind="stable"))
 
 
 def order_of(plan: StudyPlan, participant: int) -> list[str]:

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from teleop.errors import Refused
-from teleop.people.plan import QuestionKind, StudyPlan, TaskKind
+from teleop.people.felt import STIFFNESS
+from teleop.people.plan import Measure, QuestionKind, StudyPlan, TaskKind
 from teleop.people.schedule import Step, StepKind, Trial
 from teleop.people.scores import PAIRS, TLX_ITEMS
+
+VISUAL, HAPTIC = "visual", "haptic"  # modalities of a device
+SHOWN_AFTER = 0.1  # s: a page shows the master 37 to 80 ms after the event, whatever the link does
+
+
+def check_modality(plan: StudyPlan, measure: Measure, modalities: Iterable[object]) -> None:
+    """Refuse a study of what no pointer can show; a mouse displays no force. Raises `Refused`."""
+    if VISUAL not in set(modalities) or plan.task.kind is not TaskKind.COMPARE:
+        return
+    if plan.task.knob == STIFFNESS and measure in (Measure.W, Measure.BIAS, Measure.CORRECT):
+        raise Refused("a pointer displays no force, so its trials say nothing of felt stiffness; take a haptic device, "
+                      "--device NAME, or a task reach or press")
+    steps = [abs(level - plan.task.standard) for level in plan.task.levels]
+    if plan.task.knob == "delay" and min(steps) < SHOWN_AFTER:
+        raise Refused(f"a page shows the master 58 ms after the event, 37 to 80, so {min(steps):g} s of delay cannot "
+                      f"be judged with a pointer; take steps of {SHOWN_AFTER:g} s at least, or a haptic device "
+                      "(--device NAME)")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -28,13 +28,16 @@ class Parser(ArgumentParser):
         """Parse as argparse does, with a sentence on an argument that the command does not take."""
         parsed, extra = self.parse_known_args(args, namespace)
         if extra:
-            self._refuse(extra[0], getattr(parsed, "do", None))
+            self._refuse(extra[0], getattr(parsed, "do", None), getattr(parsed, "action", None))
         return parsed
 
-    def _refuse(self, argument: str, command: str | None) -> NoReturn:
-        """Say which other commands have an option that `command` has not, or which of its own is near."""
-        commands = next((each.choices for each in self._actions if isinstance(each, _SubParsersAction)), {})
+    def _refuse(self, argument: str, command: str | None, action: str | None) -> NoReturn:
+        """Say which other commands have an option that this one has not, or which of its own is near."""
+        commands = commands_of(self)
         command_parser = commands.get(command or "", self)
+        if actions := commands_of(command_parser):
+            commands = {**commands, **actions}
+            command_parser = actions.get(action or "", command_parser)
         name = argument.partition("=")[0]
         others = [another.prog for another in commands.values() if name in another._option_string_actions]
         if not name.startswith("-"):
@@ -59,6 +62,11 @@ class Parser(ArgumentParser):
         if value == "":
             where = " ".join([*action.option_strings[:1], str(action.metavar)])
             raise Refused(f"{where} must not be empty: it is {action.help}")
+
+
+def commands_of(parser: ArgumentParser) -> dict[str, ArgumentParser]:
+    """The commands of a parser, or the actions of a command's, by their names."""
+    return next((dict(each.choices) for each in parser._actions if isinstance(each, _SubParsersAction)), {})
 
 
 def scene_options(parser: ArgumentParser, *, default: str | None = None, seed: bool = True) -> None:

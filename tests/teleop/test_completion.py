@@ -16,9 +16,10 @@ from typing import Any
 
 import pytest
 
-from teleop.completion import COMPLETERS, FOLDERS, commands_of
+from teleop.completion import COMPLETERS, FOLDERS
 from teleop.scene.catalogue import find, names
 from teleop.terminal.commands import parser
+from teleop.terminal.options import commands_of
 from tests.programs import program
 
 pytest.importorskip("argcomplete")
@@ -168,6 +169,8 @@ def test_a_path_was_not_completed_on_a_machine_without_bash(
 
 def test_every_completer_is_that_of_an_argument() -> None:
     """A completer of an option that is gone would stand there for ever."""
-    words = {word for name, each in commands_of(parser()).items() for action in each._actions
+    parsers = commands_of(parser())
+    parsers |= {f"{name} {action}": each for name, of in parsers.items() for action, each in commands_of(of).items()}
+    words = {word for name, each in parsers.items() for action in each._actions
              for word in (*action.option_strings, str(action.metavar), f"{name} {action.metavar}")}
     assert COMPLETERS.keys() - words <= {"RUN"}

@@ -1,0 +1,131 @@
+"""Contrasts: power and intervals by noncentral t, the model of person, condition and place, and its false alarms."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import pytest
+import scipy.special
+import scipy.stats
+
+from teleop.people.contrasts import (
+    Value,
+    between,
+    holm,
+    noncentrality,
+    paired_power,
+    people_needed,
+    small_sample,
+    unpaired_power,
+    within,
+)
+from teleop.people.schedule import williams
+
+
+def study(people: int, conditions: int, dice: np.random.Generator, *, effect: float = 0.0, learning: float = 0.0,
+          fixed: bool = False) -> list[Value]:
+    """A number for each person and condition, in the orders of a Williams square, or all in one order."""
+    rows = williams(conditions)
+    values = []
+    for person in range(people):
+        of_person = dice.normal(0.0, 1.0)
+        for place, condition in enumerate(rows[0 if fixed else person % len(rows)], 1):
+            value = of_person + effect * (condition == 0) + learning * place + dice.normal(0.0, 0.5)
+            values.append(Value(person, "ABCDEF"[condition], place, value))
+    return values
+
+
+def test_power_is_that_of_the_noncentral_t() -> None:
+    for d, n, power in ((0.5, 34, 0.807778), (0.8, 15, 0.821311), (1.0, 10, 0.803097)):
+        assert paired_power(d, n) == pytest.approx(power, abs=5e-7)
+        assert people_needed(paired_power, d, 0.8) == n
+        assert paired_power(d, n - 1) < 0.8
+    assert unpaired_power(0.5, 64) == pytest.approx(0.801460, abs=5e-6)  # Cohen's table: 64 in each group
+
+
+def test_an_effect_size_has_the_interval_of_the_noncentral_t() -> None:
+    for t, df in ((2.9, 10), (-4.413, 8), (0.3, 33), (12.0, 5)):
+        low, high = noncentrality(t, df, 0.05)
+        assert scipy.stats.nct.cdf(t, df, low) == pytest.approx(0.975, abs=1e-6)
+        assert scipy.stats.nct.cdf(t, df, high) == pytest.approx(0.025, abs=1e-6)
+    assert small_sample(9) == pytest.approx(1.0 - 3.0 / (4 * 9 - 1), rel=1e-3)
+
+
+def test_the_contrast_is_that_of_least_squares_by_person_condition_and_place() -> None:
+    values = study(12, 2, np.random.default_rng(3), effect=0.4, learning=-0.3)
+    contrast = within(values, "A", "B")
+    assert contrast is not None
+    design = np.zeros((len(values), 12 + 2))
+    for row, each in zip(design, values, strict=True):
+        row[each.person] = 1.0
+        row[12], row[13] = float(each.condition == "A"), float(each.place == 2)
+    y = np.array([each.value for each in values])
+    solution, rest, rank, _ = np.linalg.lstsq(design, y, rcond=None)
+    df = len(y) - rank
+    error = sqrt(float(rest[0]) / df * np.linalg.pinv(design.T @ design)[12, 12])
+    assert (contrast.df, contrast.people) == (df, 12)
+    assert contrast.estimate == pytest.approx(solution[12], rel=1e-9)
+    assert contrast.t == pytest.approx(solution[12] / error, rel=1e-9)
+    assert contrast.p == pytest.approx(2.0 * scipy.stats.t.sf(abs(contrast.t), df), rel=1e-9)
+    assert contrast.effect == pytest.approx(contrast.t / sqrt(12), rel=1e-9)  # balanced
+    assert contrast.low < contrast.estimate < contrast.high
+    low, high = contrast.effect_interval()
+    ends = noncentrality(contrast.t, df, 0.05)
+    assert [low, high] == pytest.approx([each / sqrt(12) * small_sample(df) for each in ends])
+    assert contrast.corrected == pytest.approx(small_sample(df) * contrast.effect, rel=1e-12)
+
+
+def test_between_people_it_is_the_t_test_of_two_groups() -> None:
+    dice = np.random.default_rng(4)
+    groups = {"A": dice.normal(0.5, 1.0, 9), "B": dice.normal(0.0, 1.0, 11)}
+    values = [Value(i, name, 1, float(each)) for name, group in groups.items() for i, each in enumerate(group)]
+    contrast = between(values, "A", "B")
+    assert contrast is not None
+    reference = scipy.stats.ttest_ind(groups["A"], groups["B"])
+    assert (contrast.t, contrast.p, contrast.df) == pytest.approx((reference.statistic, reference.pvalue, reference.df))
+    pooled = sqrt((8 * groups["A"].var(ddof=1) + 10 * groups["B"].var(ddof=1)) / 18)
+    assert contrast.effect == pytest.approx((groups["A"].mean() - groups["B"].mean()) / pooled, rel=1e-9)
+
+
+def test_false_alarms_are_five_in_a_hundred_where_others_are_too_few_or_far_too_many() -> None:
+    """Two conditions, learning from place to place, no effect: 1500 studies of 12 people with 10 trials each."""
+    dice = np.random.default_rng(5)
+    alarms = dict.fromkeys(("model", "paired t", "trials together", "fixed order"), 0)
+    for _ in range(1500):
+        values = study(12, 2, dice, learning=-0.4)
+        contrast = within(values, "A", "B")
+        assert contrast is not None
+        a, b = (np.array([each.value for each in values if each.condition == name]) for name in "AB")
+        trials = [np.repeat(group, 10) + dice.normal(0.0, 0.5, 120) for group in (a, b)]
+        alarms["model"] += contrast.p < 0.05
+        alarms["paired t"] += _p(a - b) < 0.05
+        alarms["trials together"] += abs(np.diff([each.mean() for each in trials])[0]) > 1.97 * sqrt(
+            sum(each.var(ddof=1) for each in trials) / 120)
+        fixed = study(12, 2, dice, learning=-0.4, fixed=True)
+        assert within(fixed, "A", "B") is None  # a fixed order tells no condition from its place
+        c, d = (np.array([each.value for each in fixed if each.condition == name]) for name in "AB")
+        alarms["fixed order"] += _p(c - d) < 0.05
+    shares = {name: count / 1500 for name, count in alarms.items()}
+    assert shares["model"] == pytest.approx(0.05, abs=0.015)
+    assert shares["paired t"] < 0.035
+    assert shares["trials together"] > 0.1
+    assert shares["fixed order"] > 0.24
+
+
+def _p(difference: np.ndarray) -> float:
+    """The p of a plain paired t test."""
+    n = len(difference)
+    t = difference.mean() / (difference.std(ddof=1) / sqrt(n))
+    return float(2.0 * scipy.special.stdtr(n - 1, -abs(t)))
+
+
+def test_holm_corrects_in_steps_and_never_falls() -> None:
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.5, 0.9]) == [1.0, 1.0]
+    p = list(np.random.default_rng(6).random(7) ** 3)
+    corrected = holm(p)
+    order = np.argsort(p)
+    assert all(a <= b for a, b in zip(np.array(corrected)[order], np.array(corrected)[order][1:], strict=False))
+    assert min(corrected) == pytest.approx(min(1.0, 7 * min(p)))
+    assert all(a >= b for a, b in zip(corrected, p, strict=True))

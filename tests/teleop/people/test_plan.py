@@ -1,0 +1,110 @@
+"""Plans that are refused, each by its whole sentence, and the examples, which are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from teleop.errors import Refused
+from teleop.people.felt import check_levels, felt_stiffness
+from teleop.people.plan import Measure
+from teleop.people.plan_file import read_plan
+from teleop.people.recovery import study_of
+from teleop.people.schedule import seconds_of, trials_of
+from tests.teleop.people.plans import REACH, TEXT, plan_of
+
+EXAMPLES = Path(__file__).parents[3] / "scenarios" / "examples" / "people"
+WRONG = {  # what is written in place of what, and the sentence
+    ('name = "small"', 'name = "my study"'):
+        "plan.toml: name has at most 24 letters and digits, for it names the files, not 'my study'; write for "
+        'example name = "feltstiffness"',
+    ("seed = 5", "sed = 5"):
+        "plan.toml has no key 'sed'; did you mean seed or set?; knobs go into set = {...}",
+    ('scene = "hard_wall"', ""):
+        'plan.toml has no scene; write scene = "hard_wall"',
+    ("seed = 5", 'design = "mixed"'):
+        "plan.toml: design is within or between, not 'mixed'; write design = \"within\"",
+    ("least = 4", "least = 5"):
+        "plan.toml [participants]: least is 5, which is no multiple of 2; write least = 6",
+    ("least = 4\nmost = 8\nmultiple_of = 2", "least = 3\nmost = 9"):
+        "plan.toml [participants]: least 3 and most 9 are not both multiples of the 2 orders, so some would stand"
+        " more often; write multiple_of = 2, and numbers to suit",
+    ("most = 8", "most = 2"):
+        "plan.toml [participants]: most is 2, fewer than least, 4; write most = 4",
+    ('name = "stiff"', 'name = "smooth"'):
+        "plan.toml has two conditions called 'smooth'; give one of them another name",
+    ('kind = "compare"', 'kind = "compares"'):
+        "plan.toml [task]: kind is reach, press, compare or free, not 'compares'; write kind = \"reach\"",
+    ("levels = [350.0,", "levels = [350.0, 350.0,"):
+        "plan.toml [task]: levels has 350 twice; leave one of them out",
+    ("levels = [350.0,", "levels = [500.0,"):
+        "plan.toml [task]: levels have the standard itself, 500, where no answer is correct; leave it out",
+    ("repeats = 4", "repeats = 5"):
+        "plan.toml [task]: repeats is 5, an odd number, with which a level cannot stand first as often as second;"
+        " write repeats = 6",
+    ("repeats = 4", "trials = 40"):
+        'plan.toml [task]: trials belongs to staircase and quest; write repeats, or method = "staircase"',
+    ("repeats = 4", 'method = "staircase"'):
+        "plan.toml [task]: the levels of a staircase lie on one side of its standard, 500; leave out those of the"
+        " other side",
+    ("repeats = 4", "distances = [0.1]"):
+        "plan.toml [task] has no key 'distances'; there are: down, kind, knob, levels, method, repeats, seconds, "
+        "standard, text, trials",
+    ('items = ["Anything else?"]', ""):
+        '[[question]] 2 of plan.toml has no items; write for example items = ["How hard was it to feel the '
+        'wall?"]',
+    ("weighted = true", 'items = ["a"]'):
+        "[[question]] 1 of plan.toml: NASA-TLX has items of its own; leave items out",
+    ('primary = "w"', 'primary = "throughput"'):
+        "plan.toml [analysis]: a task compare has no throughput; there are: w, bias, correct, time, peak_force, "
+        "tlx",
+    ('["smooth", "stiff"]', '["smooth", "stif"]'):
+        "plan.toml [analysis]: contrasts name the condition 'stif'; did you mean stiff?",
+    ('["smooth", "stiff"]', '["smooth", "smooth"]'):
+        "plan.toml [analysis]: a contrast is between two conditions, not of one with itself; leave it out",
+    ("least_correct = 0.5", "least_right = 0.5"):
+        "plan.toml [exclusion] has no key 'least_right'; did you mean least_trials or least_correct?",
+    ("w = 0.15", "w = 0.0"):
+        "plan.toml [simulated]: w must be above 0, not 0; write for example w=1",
+    ("w = 0.15", "effects = {smoth = 0.1}"):
+        "plan.toml [simulated] effects has no key 'smoth'; did you mean smooth?",
+}
+
+
+def test_a_wrong_plan_is_refused_in_one_sentence() -> None:
+    for (before, after), sentence in WRONG.items():
+        assert before in TEXT, before
+        text = TEXT.replace(before, after, 1)
+        with pytest.raises(Refused) as refused:
+            plan_of(text)
+        assert str(refused.value) == sentence
+
+
+def test_a_digest_is_of_what_a_plan_says() -> None:
+    digest = plan_of(TEXT).digest
+    assert plan_of("# of spring\n" + TEXT.replace("seed = 5", "seed   = 5")).digest == digest
+    assert plan_of(TEXT.replace("seed = 5", "seed = 6")).digest != digest
+
+
+def test_a_session_is_as_long_as_its_trials_turns_breaks_and_questions() -> None:
+    plan = plan_of(TEXT)
+    assert trials_of(plan) == 2 * (2 + 12)
+    assert seconds_of(plan) == pytest.approx(2 * (14 * (2 * (2.6 + 1.5) + 2.0) + 30.0 + 150.0) + 45.0 + 180.0)
+    assert trials_of(plan_of(REACH)) == 2 * 2 * 3
+
+
+@pytest.mark.parametrize("name", ["discrimination", "laws"])
+def test_the_examples_are_simulated_and_analysed(name: str) -> None:
+    """Four people each: every condition has a measure, and the contrasts of the plan are there."""
+    plan = read_plan(EXAMPLES / f"{name}.toml")
+    felt = felt_stiffness(plan)
+    check_levels(plan, felt)
+    found = study_of(plan, felt, 6)
+    assert not found.excluded.fits
+    assert [each.people for each in found.after.summaries] == [found.after.people] * len(plan.conditions)
+    assert len(found.after.contrasts) == len(plan.analysis.contrasts)
+    assert all(each.p <= each.p_corrected <= 1.0 for each in found.after.contrasts)
+    weighted = replace(plan, analysis=replace(plan.analysis, primary=Measure.TLX))
+    assert all(0.0 <= each.mean <= 100.0 for each in study_of(weighted, felt, 4).after.summaries)
