@@ -19,6 +19,6 @@ A session is a loop over the journal; whoever shows the trials to a person calls
             # QUESTION: plan.questions[step.question];        journal.append(answer_row(plan, step, answers))
     study.write_tables()                                    # after each session; study.withdraw(participant) too
 
-The record of a trial goes into `study.trial_folder(participant, number)`, a folder that `load_scene(hand=...)` takes;
-where it is there and the journal has no line of that trial, the trial was cut: run again, with `TrialOutcome(again=1)`.
+The records of a trial's intervals go into `study.records(participant, trial)`, folders that `load_scene(hand=...)`
+takes. Where one is there and the journal has no line of that trial, it was cut: run again, `TrialOutcome(again=1)`.
 """

@@ -13,7 +13,7 @@ from math import exp, isfinite, log, nan
 from typing import Any
 
 from teleop.people.contrasts import Contrast, Value, between, holm, mean_interval, within
-from teleop.people.fit import Fit, fit, grouped, with_interval
+from teleop.people.fit import Answers, Fit, fit, grouped, with_interval
 from teleop.people.journal import of_kind
 from teleop.people.plan import ON_A_LOG_SCALE, Design, Exclusion, Measure, QuestionKind, StudyPlan
 from teleop.people.scores import throughput, tlx_raw, tlx_weighted, tlx_weights
@@ -51,6 +51,8 @@ class Findings:
     summaries: tuple[Summary, ...]
     contrasts: tuple[Contrast, ...]
     pooled: Mapping[str, Fit]  # of a comparison, by letter: all people as one observer
+    answers: Mapping[str, Answers]  # likewise, what those were fitted to
+    values: tuple[Value, ...]  # of each person
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,15 +160,16 @@ def _findings(plan: StudyPlan, felt: Felt, journals: Journals, pairs: Sequence[t
         of_letter = [each.value for each in values if each.condition == letter]
         mean, low, high = mean_interval(of_letter, alpha)
         summaries.append(Summary(letter, len(of_letter), as_shown(mean), as_shown(low), as_shown(high)))
-    together = {}
+    together: dict[str, Fit] = {}
+    answers: dict[str, Answers] = {}
     if pooled and measure is Measure.W:
         for summary in summaries:
-            answers = grouped([signed_answers(plan, felt[summary.letter], [
+            of_all = answers[summary.letter] = grouped([signed_answers(plan, felt[summary.letter], [
                 row for _, letter, trials, _ in cells if letter == summary.letter for row in trials])])
-            together[summary.letter] = with_interval(answers, fit(answers)[0], 1.0 - alpha)
+            together[summary.letter] = with_interval(of_all, fit(of_all)[0], 1.0 - alpha)
     return Findings(len(journals), sum(len(trials) for trials, _ in journals.values()), tuple(summaries),
                     tuple(replace(each, p_corrected=corrected) for each, corrected in zip(contrasts, p, strict=True)),
-                    together)
+                    together, answers, tuple(values))
 
 
 def signed_answers(plan: StudyPlan, felt: Mapping[float, float], rows: Sequence[Row]) -> list[tuple[float, bool]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from importlib.util import find_spec
 from math import isfinite, log, sqrt
 from pathlib import Path
@@ -23,6 +23,7 @@ from teleop.people.simulated import Person, simulate_session
 from teleop.people.study import Study, check_lock, create_study, open_study, write_lock
 from teleop.simulation.result import versions
 from teleop.terminal.answer import Answer, WithUnit, finite, with_units
+from teleop.terminal.plotting import asked_formats, save
 from teleop.terminal.progress import shown_for
 from teleop.terminal.table import columns, duration, facts
 
@@ -164,6 +165,7 @@ def contrast_pairs(study: Study) -> list[tuple[str, str]]:
 
 def analyse_command(args: Namespace) -> Answer:
     """Analyse a study: measures of each condition, contrasts, effect sizes, and what was left out, before and after."""
+    formats = asked_formats(args)
     study = open_study(args.folder)
     measure = study.plan.analysis.primary if args.measure is None else _measure(study.plan, args.measure)
     check_modality(study.plan, measure, (row.get("modality") for _, rows in study.rows() for row in rows))
@@ -178,7 +180,12 @@ def analyse_command(args: Namespace) -> Answer:
                              "people": {f"sub-{n:02d}": why for n, why in analysed.excluded.people.items()},
                              "no_measure": [[f"sub-{n:02d}", study.label(each)]
                                             for n, each in analysed.excluded.fits]}}
-    return Answer(_text(study, analysed), document)
+    answer = Answer(_text(study, analysed), document)
+    if formats:
+        from teleop.people.plot import figure_of
+
+        answer = answer.with_plots(study.folder, save(figure_of(study, analysed), study.folder / "people", formats))
+    return answer
 
 
 def _measure(plan: StudyPlan, name: str) -> Measure:
@@ -267,13 +274,14 @@ def unblind(args: Namespace) -> Answer:
 
 
 def rerun(args: Namespace) -> Answer:
-    """Run a trial's hand again under another law, in virtual time, with the trial's own knobs."""
-    from teleop.people.felt import knobs_of
+    """Run a trial's hand again under another law, in virtual time, with the trial's own knobs, interval by interval."""
     from teleop.people.journal import NAME, of_kind, read_journal
+    from teleop.people.schedule import Trial
+    from teleop.people.study import intervals
     from teleop.scene.loading import load_scene
     from teleop.simulation.virtual import run
     from teleop.storage.folder import new_folder
-    from teleop.terminal.run import answer_of
+    from teleop.terminal.run_table import table
 
     study = open_study(args.folder)
     person, _, number = args.trial.removeprefix("sub-").partition("/")
@@ -283,22 +291,32 @@ def rerun(args: Namespace) -> Answer:
     row = next((each for each in rows if each["number"] == int(number)), None)
     if row is None:
         raise Refused(f"{study.folder} has no trial {args.trial}; the table in data names all of them")
-    record = study.trial_folder(int(person), int(number))
-    if not record.is_dir():
-        raise Refused(f"trial {args.trial} has no record of a hand" + (": its person is simulated" if study.simulated
-                      else "; it was removed") + ", so there is nothing to run again")
-    condition = study.key.conditions[row["letter"]]
-    tells = any(name.partition(".")[0] != "law" for each in study.plan.conditions for name in each.knobs)
-    if tells and not study.looks():
+    if not study.looks() and any(not _is_of_law(name) for each in study.plan.conditions for name in each.knobs):
         raise Refused("a trial's knobs would tell its condition, and the study is blind; type teleop study unblind "
                       f"{study.folder} first")
-    knobs = {name: value for name, value in knobs_of(study.plan, condition, row["level"]).items()
-             if name.partition(".")[0] != "law"}
-    scene = load_scene(study.plan.scene, **knobs, law=args.law, hand=str(record))
+    trial = Trial(**{each.name: row[each.name] for each in fields(Trial)})
+    records = study.records(int(person), trial)
+    if not all(record.is_dir() for record in records):
+        raise Refused(f"trial {args.trial} has no record of a hand" + (": its person is simulated" if study.simulated
+                      else "; it was removed") + ", so there is nothing to run again")
+    scenes = [load_scene(study.plan.scene, **{name: value for name, value in knobs.items() if not _is_of_law(name)
+                                              and name != "duration"}, law=args.law, hand=str(record))
+              for knobs, record in zip(intervals(study, trial), records, strict=True)]
+    texts, summaries = [], []
     with new_folder(args.out, f"{study.plan.name}-rerun") as new:
-        result = run(scene, seed=study.plan.seed, clock=args.nanoseconds)
-        result.write(new.inside, args.typed)
-    return answer_of(result, args.typed).kept_in(new.path)
+        for scene, record in zip(scenes, records, strict=True):
+            result = run(scene, seed=study.plan.seed, clock=args.nanoseconds)
+            (new.inside / record.name).mkdir()
+            result.write(new.inside / record.name, args.typed)
+            texts.append(table(result))
+            summaries.append(result.summary(args.typed))
+    document = {**_head(args, study.plan, f"trial {args.trial} under {args.law}"), "trial": args.trial, "law": args.law,
+                "intervals": summaries}
+    return Answer("\n\n".join(texts), document).kept_in(new.path)
+
+
+def _is_of_law(knob: str) -> bool:
+    return knob.partition(".")[0] == "law"
 
 
 ACTIONS: dict[str, Callable[[Namespace], Answer]] = {

@@ -5,7 +5,7 @@
     DIR/plan.toml                             the plan as it was
     DIR/key.json                              letter -> condition, mode 0600; read by programs, shown by `unblind` alone
     DIR/sub-03/journal.jsonl                  all that person 3 did, a line a step
-    DIR/sub-03/trial-007/                     the record of a trial
+    DIR/sub-03/trial-007/interval-1/          the record of an interval of a trial
     DIR/data/study-NAME_data.csv              one row a trial, of all people
     DIR/data/study-NAME_description-answers_data.csv      one row an answer of a questionnaire
     DIR/unblinded.jsonl                       who looked at the key, and when
@@ -82,6 +82,11 @@ class Study:
     def trial_folder(self, participant: int, number: int) -> Path:
         """The folder for the record of a trial."""
         return self.home(participant) / f"trial-{number:03d}"
+
+    def records(self, participant: int, trial: Trial) -> list[Path]:
+        """The folders for the records of a trial's intervals, each of which `load_scene` takes as hand."""
+        return [self.trial_folder(participant, trial.number) / f"interval-{i + 1}"
+                for i in range(self.plan.task.intervals)]
 
     def people(self) -> list[int]:
         """The numbers of the people who have a journal."""

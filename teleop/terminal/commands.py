@@ -6,9 +6,10 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 
 from teleop.terminal.options import (
-    FORMATS,
     Parser,
-    formats,
+    json_option,
+    out_option,
+    plot_option,
     realtime_option,
     scene_options,
     seed_number,
@@ -82,21 +83,6 @@ def parser(*names: str) -> ArgumentParser:
     return whole_parser
 
 
-def _json(added: ArgumentParser, what: str = "print one JSON object and nothing else") -> None:
-    added.add_argument("--json", action="store_true", help=what)
-
-
-def _out(added: ArgumentParser, stem: str) -> None:
-    added.add_argument("--out", metavar="DIR", help=f"the new folder to write; default runs/{stem}-NUMBER")
-
-
-def _plot(added: ArgumentParser, what: str) -> None:
-    added.add_argument("--plot", action="store_true", help=f"draw {what} into the folder, named with -2, -3, ... where "
-                       "that name is taken (needs the extra `plot`); left out: nothing is drawn")
-    added.add_argument("--format", metavar="FORMATS", type=formats, help=f"of the plot: {', '.join(FORMATS)}, several "
-                       "joined by commas; draws, as --plot does; left out: png")
-
-
 def _picture(added: ArgumentParser, whose: str = "") -> None:
     then = f"; draws{whose}, as --plot does"
     added.add_argument("--picture", metavar="KIND", help="stability (how rows ended, over two knobs), metric (one over "
@@ -115,16 +101,16 @@ def _run(added: ArgumentParser) -> None:
                        "NAME:ARGUMENT, or FILE.py:CLASS; left out: the simulated master")
     added.add_argument("--robot", metavar="NAME", help="what stands at the slave's end, for example mujoco, or "
                        "mujoco:FILE.xml#TIP@POSE, POSE a keyframe or q=Q1,Q2,...; left out: the simulated slave")
-    _out(added, "SCENE")
-    _json(added)
-    _plot(added, "plot.png")
+    out_option(added, "SCENE")
+    json_option(added)
+    plot_option(added, "plot.png")
 
 
 def _demo(added: ArgumentParser) -> None:
     scene_options(added, default="hard_wall")
-    _out(added, "SCENE")
-    _json(added)
-    _plot(added, "plot.png")
+    out_option(added, "SCENE")
+    json_option(added)
+    plot_option(added, "plot.png")
     added.add_argument("--lockstep", action="store_true",
                        help="step both ends together over UDP: bit for bit what `teleop run` gives")
     added.add_argument("--device", metavar="NAME", help="what stands at the master's end, as `python -m master` takes "
@@ -161,8 +147,8 @@ def _sweep(added: ArgumentParser) -> None:
     added.add_argument("--out", metavar="DIR", help="the folder of the sweep, new or to be gone on with; default "
                        "runs/SCENE-sweep")
     added.add_argument("--yes", action="store_true", help="more than 1e9 rows are meant")
-    _json(added)
-    _plot(added, "sweep.png")
+    json_option(added)
+    plot_option(added, "sweep.png")
     _picture(added)
 
 
@@ -189,9 +175,9 @@ def _tune(added: ArgumentParser) -> None:
                        "integral,fixed:0.1:integral; left out: the scene's alone")
     added.add_argument("--engine", metavar="NAME", help="plain, c or vector; left out: by the amount of work")
     added.add_argument("--workers", metavar="N", type=whole, help="rows run in N threads; left out: one for each core")
-    _out(added, "LAW-tune")
-    _json(added)
-    _plot(added, "tune.png")
+    out_option(added, "LAW-tune")
+    json_option(added)
+    plot_option(added, "tune.png")
 
 
 def _advise(added: ArgumentParser) -> None:
@@ -212,8 +198,8 @@ def _advise(added: ArgumentParser) -> None:
                        "each core")
     added.add_argument("--out", metavar="DIR", help="the folder that keeps the points; the same command there goes on "
                        "where it stopped; left out: runs/SCENE-advise")
-    _json(added)
-    _plot(added, "advise.png")
+    json_option(added)
+    plot_option(added, "advise.png")
 
 
 def _matrix(added: ArgumentParser) -> None:
@@ -221,7 +207,7 @@ def _matrix(added: ArgumentParser) -> None:
                        help="a matrix of your own, TOML; left out: the built-in scenarios/matrix.toml")
     added.add_argument("--out", metavar="DIR", help="a folder that keeps the rows, a sweep for each block, and can be "
                        "gone on with; left out: none")
-    _json(added)
+    json_option(added)
 
 
 def _compare(added: ArgumentParser) -> None:
@@ -235,8 +221,8 @@ def _compare(added: ArgumentParser) -> None:
     added.add_argument("--workers", metavar="N", type=whole, help="rows run in N processes; left out: one a core")
     added.add_argument("--out", metavar="DIR", help="the folder of the comparison, new or to be gone on with; default "
                        "runs/FILE, without its ending")
-    _json(added)
-    _plot(added, "a figure for each question")
+    json_option(added)
+    plot_option(added, "a figure for each question")
 
 
 def _axis(added: ArgumentParser) -> None:
@@ -246,9 +232,9 @@ def _axis(added: ArgumentParser) -> None:
 def _precision(added: ArgumentParser) -> None:
     scene_options(added)
     _axis(added)
-    _out(added, "SCENE-precision")
-    _json(added)
-    _plot(added, "precision.png")
+    out_option(added, "SCENE-precision")
+    json_option(added)
+    plot_option(added, "precision.png")
     added.add_argument("--rounds", metavar="N", type=whole,
                        help="how often each is timed; left out: as often, and as many, as fit into a minute")
 
@@ -265,8 +251,8 @@ def _stability(added: ArgumentParser) -> None:
                        help="judge by a run in virtual time: for scenes that are not linear")
     added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json into; left out: none, or "
                        "with --plot runs/SCENE-stability-NUMBER")
-    _json(added)
-    _plot(added, "stability.png, and with --critical critical.png,")
+    json_option(added)
+    plot_option(added, "stability.png, and with --critical critical.png,")
 
 
 def _passivity(added: ArgumentParser) -> None:
@@ -276,8 +262,8 @@ def _passivity(added: ArgumentParser) -> None:
                        "ports 0.49 of it")
     added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json and curves.npz into; "
                        "left out: none, or with --plot runs/SCENE-passivity-NUMBER")
-    _json(added)
-    _plot(added, "passivity.png")
+    json_option(added)
+    plot_option(added, "passivity.png")
 
 
 def _zwidth(added: ArgumentParser) -> None:
@@ -286,16 +272,16 @@ def _zwidth(added: ArgumentParser) -> None:
     added.add_argument("--range-k", metavar="LOW:HIGH", help="stiffness (N/m) in which to look for what is stable and "
                        "what comes to rest; left out: all")
     added.add_argument("--range-b", metavar="LOW:HIGH", help="the same of damping (N s/m)")
-    _out(added, "SCENE-zwidth")
-    _json(added)
-    _plot(added, "plane.png, impedance.png and levers.png")
+    out_option(added, "SCENE-zwidth")
+    json_option(added)
+    plot_option(added, "plane.png, impedance.png and levers.png")
 
 
 def _reproduce(added: ArgumentParser) -> None:
     added.add_argument("name", metavar="NAME", nargs="?", help="one publication, for example diolaiti; left out: all")
     added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json and page.md into; left out: "
                        "none")
-    _json(added)
+    json_option(added)
 
 
 def _list(added: ArgumentParser) -> None:
@@ -303,7 +289,7 @@ def _list(added: ArgumentParser) -> None:
                        "the FILE.py of one of your own: shows its knobs; or all that there is of a kind: scenes, laws, "
                        "effects, estimators, metrics, playout, stages, bodies, devices, robots; left out: the first "
                        "four of these")
-    _json(added)
+    json_option(added)
 
 
 def _check(added: ArgumentParser) -> None:
@@ -319,7 +305,7 @@ def _check(added: ArgumentParser) -> None:
                        "at most 1 in simulation")
     added.add_argument("--ticks", metavar="N", type=whole, default=1000, help="read so often, a machine by the clock; "
                        "left out: 1000; with more you have the time to unplug it and to plug it in again")
-    _json(added)
+    json_option(added)
 
 
 def _identify(added: ArgumentParser) -> None:
@@ -332,20 +318,20 @@ def _identify(added: ArgumentParser) -> None:
     added.add_argument("--inertia", metavar="J", required=True, help="moment of inertia that each joint moves, kg m^2, "
                        "one number or one for each: fasten something known to it")
     added.add_argument("--out", metavar="FILE", required=True, help="the file to write")
-    _json(added)
+    json_option(added)
 
 
 def _show(added: ArgumentParser) -> None:
     added.add_argument("what", metavar="tick", choices=("tick",), help="what the scene's loop does, line by line")
     scene_options(added, seed=False)
     added.add_argument("--end", choices=("m", "s"), help="the live end of the master or of the slave, by itself")
-    _json(added)
+    json_option(added)
 
 
 def _manifest(added: ArgumentParser) -> None:
     scene_options(added, seed=False)
     added.add_argument("--write", metavar="FILE", help="write the manifest as msgpack, as HELLO and WELCOME carry it")
-    _json(added)
+    json_option(added)
 
 
 def _emit(added: ArgumentParser) -> None:
@@ -354,8 +340,8 @@ def _emit(added: ArgumentParser) -> None:
                        "the slave, or hand, the only one of a scene without a slave")
     added.add_argument("--float", action="store_true", help="single precision, for a processor whose unit has no "
                        "doubles: not the bits of Python; refused where a float does not suffice")
-    _out(added, "SCENE-emit")
-    _json(added)
+    out_option(added, "SCENE-emit")
+    json_option(added)
 
 
 def _report(added: ArgumentParser) -> None:
@@ -370,10 +356,10 @@ def _report(added: ArgumentParser) -> None:
                        "runs/SCENE-NUMBER")
     added.add_argument("--trust", action="store_true", help="run the scene's own file, and read the files, that the "
                        "folder names: for folders of your own, or that you have read")
-    _plot(added, "plot.png or sweep.png")
+    plot_option(added, "plot.png or sweep.png")
     _picture(added, " a sweep")
     added.add_argument("--rows", metavar="N", type=whole, help="of a sweep: show its first N rows; left out: a few")
-    _json(added, "print the stored summary and nothing else, and write a page only with --html or --open")
+    json_option(added, "print the stored summary and nothing else, and write a page only with --html or --open")
 
 
 def _replay(added: ArgumentParser) -> None:
@@ -387,8 +373,8 @@ def _replay(added: ArgumentParser) -> None:
                        "folder names: for folders of your own, or that you have read")
     added.add_argument("--out", metavar="DIR", help="the new folder to write summary.json and forces.npz into; left "
                        "out: none, or with --plot runs/SCENE-replay-NUMBER")
-    _json(added)
-    _plot(added, "replay.png")
+    json_option(added)
+    plot_option(added, "replay.png")
 
 
 def _export(added: ArgumentParser) -> None:
@@ -400,7 +386,7 @@ def _export(added: ArgumentParser) -> None:
                        "FILE-metadata.json with the units")
     added.add_argument("--trust", action="store_true", help="where a killed process left the folder: run the scene's "
                        "own file, and read the files, that it names")
-    _json(added)
+    json_option(added)
 
 
 def _stream(added: ArgumentParser) -> None:
@@ -409,17 +395,17 @@ def _stream(added: ArgumentParser) -> None:
                        "listens, for example 127.0.0.1:9870; rows go there as JSON, neither encrypted nor answered")
     added.add_argument("--rows", metavar="N", type=whole, default=16, help="rows a datagram, at most; left out: 16; 1 "
                        "for PlotJuggler before 3.16.0")
-    _json(added)
+    json_option(added)
 
 
 def _doctor(added: ArgumentParser) -> None:
     added.add_argument("--clear", action="store_true", help="remove the compiled kernels")
-    _json(added)
+    json_option(added)
 
 
 def _keygen(added: ArgumentParser) -> None:
     added.add_argument("name", metavar="NAME", help="the file to write, NAME.key")
-    _json(added)
+    json_option(added)
 
 
 def _completion(added: ArgumentParser) -> None:

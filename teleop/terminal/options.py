@@ -92,6 +92,24 @@ def scene_options(parser: ArgumentParser, *, default: str | None = None, seed: b
     )
 
 
+def json_option(added: ArgumentParser, what: str = "print one JSON object and nothing else") -> None:
+    """Let a command take --json."""
+    added.add_argument("--json", action="store_true", help=what)
+
+
+def out_option(added: ArgumentParser, stem: str) -> None:
+    """Let a command take --out, for a new folder."""
+    added.add_argument("--out", metavar="DIR", help=f"the new folder to write; default runs/{stem}-NUMBER")
+
+
+def plot_option(added: ArgumentParser, what: str) -> None:
+    """Let a command take --plot and --format, to draw `what`."""
+    added.add_argument("--plot", action="store_true", help=f"draw {what} into the folder, named with -2, -3, ... where "
+                       "that name is taken (needs the extra `plot`); left out: nothing is drawn")
+    added.add_argument("--format", metavar="FORMATS", type=formats, help=f"of the plot: {', '.join(FORMATS)}, several "
+                       "joined by commas; draws, as --plot does; left out: png")
+
+
 def realtime_option(parser: ArgumentParser) -> None:
     """Let a live command take --no-realtime, as `args.realtime`."""
     parser.add_argument("--no-realtime", dest="realtime", action="store_false",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser
 
-from teleop.terminal.options import whole
+from teleop.terminal.options import json_option, out_option, plot_option, whole
 
 
 def study_options(added: ArgumentParser) -> None:
@@ -13,7 +13,7 @@ def study_options(added: ArgumentParser) -> None:
 
     def action(name: str, text: str) -> ArgumentParser:
         parser: ArgumentParser = actions.add_parser(name, help=text, description=text, allow_abbrev=False)
-        parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+        json_option(parser)
         return parser
 
     def plan(name: str, text: str) -> ArgumentParser:
@@ -38,9 +38,10 @@ def study_options(added: ArgumentParser) -> None:
     analyse = folder("analyse", "Analyse a study: table, fits, contrasts, effect sizes, and what was left out.")
     analyse.add_argument("--measure", metavar="NAME", help="another measure than the plan's primary one, which is "
                          "shown if left out")
+    plot_option(analyse, "people.png")
     unblind = folder("unblind", "Show which letter is which condition, and write down who looked, and when.")
     unblind.add_argument("--name", metavar="WHO", help="who looks; left out: the user's name")
     rerun = folder("rerun", "Run a trial's hand under another law, with the trial's own knobs.")
     rerun.add_argument("--trial", metavar="SUB/N", required=True, help="the trial, as sub-03/7")
     rerun.add_argument("--law", metavar="LAW", required=True, help="the law, a name or FILE.py:CLASS")
-    rerun.add_argument("--out", metavar="DIR", help="the new folder to write; default runs/NAME-rerun-NUMBER")
+    out_option(rerun, "NAME-rerun")
