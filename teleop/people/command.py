@@ -237,6 +237,7 @@ def _findings_text(study: Study, analysed: Findings, measure: Measure) -> str:
                       *as_one])
     if not any(line[4] for line in lines[1:]):
         lines = [line[:4] for line in lines]
+    jnds = _limens(study, analysed) if measure is Measure.W else ""
     effect = "g_z" if study.plan.design is Design.WITHIN else "g_s"
     head = ["contrast", "people", "difference", level, "t", "df", "p", "corrected", effect, level]
     tests: list[Sequence[str]] = [head]
@@ -245,7 +246,20 @@ def _findings_text(study: Study, analysed: Findings, measure: Measure) -> str:
                       _interval(of.low, of.high), f"{of.t:.3f}", f"{of.df:.0f}", _p(of.p), _p(of.p_corrected),
                       f"{of.corrected:.2f}", _interval(*of.effect_interval(study.plan.analysis.alpha))])
     note = "" if len(tests) > 1 else "\nno contrast: three people at least with both conditions are needed"
-    return columns(lines) + ("\n\n" + columns(tests) if len(tests) > 1 else note)
+    return columns(lines) + jnds + ("\n\n" + columns(tests) if len(tests) > 1 else note)
+
+
+def _limens(study: Study, findings: Findings) -> str:
+    """The difference limens of the wall's own stiffness, with their level; they would tell letters apart."""
+    if not (study.looks() and with_stiffness(study.plan)):
+        return ""
+    standard, sentences = study.plan.task.standard, []
+    for each in findings.summaries:
+        c = compliance(study.key.felt[each.letter], standard)
+        up, down = (limen(c, standard, each.mean, z) for z in (1.0, -1.0))
+        ends = ["none" if wall is None else f"{wall / standard - 1.0:+.1%}" for wall in (up, down)]
+        sentences.append(f"{study.label(each.letter)} {ends[0]} and {ends[1]}")
+    return f"\nJND of {study.plan.task.knob} at {standard:g} N/m, 84.1 % correct: {'; '.join(sentences)}"
 
 
 def _interval(low: float, high: float) -> str:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from statistics import mean
 
 import pytest
+import scipy.stats
 
 from teleop.errors import Refused
 from teleop.people.felt import check_levels, felt_stiffness
 from teleop.people.plan import Measure
 from teleop.people.plan_file import read_plan
-from teleop.people.recovery import study_of
+from teleop.people.recovery import recovered, study_of, true_log_w
 from teleop.people.schedule import seconds_of, trials_of
 from tests.teleop.people.plans import REACH, TEXT, plan_of
 
@@ -108,3 +110,16 @@ def test_the_examples_are_simulated_and_analysed(name: str) -> None:
     assert all(each.p <= each.p_corrected <= 1.0 for each in found.after.contrasts)
     weighted = replace(plan, analysis=replace(plan.analysis, primary=Measure.TLX))
     assert all(0.0 <= each.mean <= 100.0 for each in study_of(weighted, felt, 4).after.summaries)
+
+
+@pytest.mark.full
+def test_over_200_studies_w_is_recovered_and_contrasts_alarm_as_often_as_they_say() -> None:
+    """The first example, from its answers to its contrast: each count within what 200 studies leave to chance."""
+    plan = read_plan(EXAMPLES / "discrimination.toml")
+    counts = recovered(plan, plan.participants.least, 200)
+    low, high = scipy.stats.binom.interval(0.99, 200, 0.95)
+    assert all(low <= covered <= high for covered in counts.covered.values()), counts
+    false, = counts.false.values()
+    assert scipy.stats.binom.interval(0.99, 200, 0.05)[0] <= false <= scipy.stats.binom.interval(0.99, 200, 0.05)[1]
+    assert all(mean([*logs]) == pytest.approx(true_log_w(plan, name), abs=0.06)
+               for name, logs in counts.estimates.items()), counts

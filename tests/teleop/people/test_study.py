@@ -91,6 +91,7 @@ def test_until_it_is_unblinded_nothing_shows_a_condition(here: Path, capsys: Cap
     assert not (here / "s" / "people.png").exists()
     text = typed(capsys, "analyse", "s", "--plot")
     assert "smooth - stiff" in text
+    assert "JND of k_e at 500 N/m, 84.1 % correct: " in text
     assert text.endswith("plot: s/people.png\n")
     assert (here / "s" / "people.png").read_bytes()[:4] == b"\x89PNG"
     looks = read_journal(here / "s" / "unblinded.jsonl")
