@@ -63,6 +63,7 @@ class Settings:
     origin: tuple[float, ...] = (0.0, 0.0, 0.0)  # m, in the device's frame: where the scene's positions count from
     limit: float = LIMIT  # N: a longer force is made so long
     clutch: str | None = None  # button of the grip that holds the operator's clutch open, while it is pressed
+    wrist: str | None = None  # button of the grip that holds the clutch of the rotation alone open
     present: str | None = None  # button of the grip that is pressed while the operator is there
     deadline: float | None = None  # s after which the service lets go by itself, if that was measured
 
@@ -84,7 +85,7 @@ class Inverse3:
         self._rows, self._turns = _rows(self._settings.axes, scene), bool(scene.rotations)
         self._rotation = RotationAxes()
         self._turned: deque[tuple[int, Axes]] = deque()  # ns and rad, of the last states
-        self._buttons = self._settings.clutch, self._settings.present
+        self._buttons = self._settings.clutch, self._settings.wrist, self._settings.present
         self._clock, self._link = clock, _Link(self._uri, self._settings, int(SHARE * scene.dt_ns))
         self._force = (0.0, 0.0, 0.0)
         self._pushes = self._commanded = False
@@ -159,7 +160,9 @@ class Inverse3:
         if self._turns:
             phi, omega = self._orientation(state)
             x, v = x + phi, v + omega
-        return Reading(x, v, None, *[_pressed(state, button) for button in self._buttons])
+        clutch, wrist, present = [_pressed(state, button) for button in self._buttons]
+        return Reading(x, v, None, "rotation" if wrist and not clutch else clutch if wrist is None else bool(clutch),
+                       present)
 
 
     def _orientation(self, state: State) -> tuple[Axes, Axes]:
@@ -408,7 +411,7 @@ def _place(name: str, text: str) -> tuple[float, ...]:
 
 READ: dict[str, Reader] = {
     "device": _text, "word": one_of(*WORDS), "axes": axes_of, "origin": _place, "limit": positive, "clutch": _text,
-    "present": _text, "deadline": positive,
+    "wrist": _text, "present": _text, "deadline": positive,
 }
 """How each setting is read."""
 

@@ -137,6 +137,13 @@ def test_buttons_of_the_grip_are_the_operators_switches(new: Bench) -> None:
     assert "the grip has no button a (no buttons)" in new.trouble(device, 3)
 
 
+def test_a_button_of_the_grip_is_the_clutch_of_the_rotation_alone(new: Bench) -> None:
+    device = new.open("?clutch=a&wrist=c")
+    for pressed, clutch in (((False, True), "rotation"), ((True, True), True), ((False, False), False)):
+        new.service.buttons = {"a": pressed[0], "b": False, "c": pressed[1]}
+        assert new.go(device, 3).clutch == clutch
+
+
 def test_an_orientation_that_is_no_unit_quaternion_is_no_state(new: Bench) -> None:
     device = new.open()
     reading = new.go(device, 3)
