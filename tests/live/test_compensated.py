@@ -180,6 +180,30 @@ class TestTheLaw:
                 arm.hold((0.1, 0.2, -0.3))
             np.testing.assert_allclose(push * np.array(device.held[-1]), weights + push * np.array((0.1, 0.2, -0.3)))
 
+    def test_gets_from_a_held_weight_what_the_damping_in_the_header_takes_up(self, tmp_path: Path) -> None:
+        """A pendulum upright, dg/dq = -m g l, is driven by m g l dt (1/2 + d) v; a damping of that much holds it."""
+        dt, m, length = 5e-3, 1.0, 0.5
+        file = written(tmp_path, f"<mujoco><worldbody><body><joint name='lift' axis='0 -1 0'/><inertial pos='{length} 0 0' "
+                                 f"mass='{m}' diaginertia='1e-9 1e-9 1e-9'/></body></worldbody></mujoco>")
+        inertia, stiffness = m * length ** 2, m * 9.81 * length
+        for late in (0, 2):
+            bound = stiffness * dt * (0.5 + late)
+            for damping in (0.0, bound):
+                device = Bench((0.0,), (0.0,))
+                arm = Compensated(device, ArmModel(file, scene("lift", dt=dt)), dt=dt)
+                arm._gain, arm._carried = 1.0, np.zeros(1)
+                x, v, places, n = np.pi / 2.0 - 0.05, 0.05, [np.pi / 2.0 - 0.05] * (late + 1), 50
+                for k in range(400):
+                    places = [*places[1:], x]
+                    device.x = (places[0],)
+                    arm.read(k)
+                    arm.hold((0.0,))
+                    for _ in range(n):
+                        v += dt / n * (device.held[-1][0] - stiffness * np.cos(x) - damping * v) / inertia
+                        x += dt / n * v
+                grown = np.log(v / 0.05) / (400 * dt)
+                assert grown == pytest.approx((bound - damping) / inertia, abs=0.1 * bound / inertia)
+
     def test_gets_no_energy_from_the_coriolis_torques_that_are_compensated(self, tmp_path: Path) -> None:
         """A cart is let out on a turning rail and drawn in on a standing one: all of C v would give 0.9 J a round."""
         file = written(tmp_path, TURNTABLE)
