@@ -12,13 +12,14 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.mujoco_robot import MuJoCoRobot
-from teleop import DeviceError, Reading, Refused, Scene, load_scene
+from teleop import DeviceError, Reading, Refused, Scene
 from teleop.live.devices.arm_model import ArmModel
 from teleop.live.devices.compensated import BLIND_S, SLEW_S, Compensated
 from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.devices.opening import find_device
 from teleop.live.in_process import run_stepped
 from teleop.stages.observer import coefficients, observe
+from tests.live.test_arm_model import PLANAR, scene, written
 
 pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
 
@@ -26,21 +27,6 @@ DT = 1e-3
 ARM = "slave/arm.xml"
 HEAVY = "slave/arm.xml?gravcomp=0"
 HOME = (0.3, np.pi / 3.0, -2.0 * np.pi / 3.0)
-PLANAR = """
-<mujoco>
-  <compiler angle="radian"/>
-  <worldbody>
-    <body name="upper"><joint name="shoulder" axis="0 -1 0" frictionloss="0.3" damping="0.2"/>
-      <inertial pos="0.5 0 0" mass="2" diaginertia="1e-9 1e-9 1e-9"/>
-      <body name="fore" pos="0.5 0 0"><joint name="elbow" axis="0 -1 0" frictionloss="0.1"/>
-        <inertial pos="0.4 0 0" mass="1.5" diaginertia="1e-9 1e-9 1e-9"/>
-        <body name="hand" pos="0.4 0 0"><joint name="wrist" axis="1 0 0"/>
-          <inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/></body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
 TURNTABLE = """
 <mujoco>
   <option gravity="0 0 0"/>
@@ -53,15 +39,6 @@ TURNTABLE = """
   </worldbody>
 </mujoco>
 """
-
-
-def scene(names: str = "turn,lift,bend", units: str = "rad", **knobs: Any) -> Scene:
-    return load_scene("bench_top", axes=str(len(names.split(","))), units=units, names=names, duration=2.0, **knobs)
-
-
-def written(folder: Path, text: str, name: str = "arm.xml") -> str:
-    (folder / name).write_text(text)
-    return str(folder / name)
 
 
 @pytest.fixture(autouse=True)
@@ -95,63 +72,6 @@ def on_arm(device: Any = None, **settings: Any) -> tuple[Any, Compensated]:
     return device, Compensated(device, ArmModel(ARM, scene()), **settings)
 
 
-class TestTheModel:
-    def test_of_two_links_is_the_textbooks(self, tmp_path: Path) -> None:
-        """Point masses at the ends: M, and h of Coriolis, centrifugal and weight, in closed form; of a URDF too."""
-        l1, l2, m1, m2, g = 0.5, 0.4, 2.0, 1.5, 9.81
-        link = "<inertial><origin xyz='{at} 0 0'/><mass value='{m}'/><inertia ixx='1e-9' iyy='1e-9' izz='1e-9' " \
-            "ixy='0' ixz='0' iyz='0'/></inertial><visual><geometry><mesh filename='package://gone/x.stl'/></geometry>" \
-            "</visual><collision><geometry><mesh filename='package://gone/x.stl'/></geometry></collision>"
-        joint = "<joint name='{name}' type='revolute'><parent link='{of}'/><child link='{to}'/><axis xyz='0 -1 0'/>" \
-            "<origin xyz='{at} 0 0'/><limit lower='-3' upper='3' effort='9' velocity='9'/><dynamics friction='{f}'/>" \
-            "</joint>"
-        urdf = written(tmp_path, "<robot name='two'><link name='base'/>"
-                       f"<link name='upper'>{link.format(at=l1, m=m1)}</link>"
-                       f"<link name='fore'>{link.format(at=l2, m=m2)}</link>"
-                       f"{joint.format(name='shoulder', of='base', to='upper', at=0, f=0.3)}"
-                       f"{joint.format(name='elbow', of='upper', to='fore', at=l1, f=0.1)}</robot>", "arm.urdf")
-        of = scene("shoulder,elbow")
-        rng = np.random.default_rng(1)
-        for file in (written(tmp_path, PLANAR), urdf):
-            model = ArmModel(file, of)
-            turned = ArmModel(file, scene("a,b"), ("-elbow", "shoulder"))
-            assert model.friction.tolist() == [0.3, 0.1]
-            for _ in range(20):
-                (a, b), (da, db) = q, v = rng.uniform(-2.0, 2.0, (2, 2))
-                m12 = m2 * l2 * (l2 + l1 * cos(b))
-                M = [[(m1 + m2) * l1 ** 2 + m2 * l2 * (l2 + 2.0 * l1 * cos(b)), m12], [m12, m2 * l2 ** 2]]
-                c = m2 * l1 * l2 * sin(b)
-                tip = m2 * g * l2 * cos(a + b)
-                h = [-c * (2.0 * da * db + db * db) + (m1 + m2) * g * l1 * cos(a) + tip, c * da * da + tip]
-                now = model.at(q, v)
-                np.testing.assert_allclose(now.inertia, M, rtol=1e-6, atol=1e-7)
-                np.testing.assert_allclose(now.torque, h, rtol=1e-6, atol=1e-7)
-                other = turned.at((-b, a), (-db, da))
-                np.testing.assert_allclose(other.torque, [-h[1], h[0]], rtol=1e-6, atol=1e-7)
-                np.testing.assert_allclose(other.inertia, [[M[1][1], -M[0][1]], [-M[0][1], M[0][0]]], rtol=1e-6)
-
-    def test_that_does_not_fit_the_scene_or_has_no_mass_is_refused_in_one_sentence(self, tmp_path: Path) -> None:
-        file = written(tmp_path, PLANAR)
-        light = written(tmp_path, PLANAR.replace('mass="2"', 'mass="0"').replace('mass="1.5"', 'mass="0"').replace(
-            'mass="1e-9"', 'mass="0"'), "light.xml")
-        broken = written(tmp_path, "<mujoco><worldbody><body><joint/></worldbody></mujoco>", "broken.xml")
-        for path, of, joints, says in (
-            (file, scene("shoulder,knee"), (), r"the scene's axes knee are no joints of .* \(it has shoulder in rad, "
-             r"elbow in rad, wrist in rad\); write \?joints= with 2 of them in the scene's order"),
-            (file, scene("a,b"), ("shoulder", "knee"), r"joints= knee are no joints"),
-            (file, scene("a,b"), ("shoulder",), r"the scene has 2 axes, and joints= names shoulder; name one joint"),
-            (file, scene("a,b"), ("elbow", "-elbow"), r"name one joint for each axis, each once"),
-            (file, scene("shoulder,elbow", "m"), (), r"axis shoulder is in m, and the joint shoulder of .* is in rad"),
-            (light, scene("shoulder,elbow"), (), r"light\.xml does not load as an MJCF \(.*mass and inertia of moving "
-             "bodies must be larger"),
-            (broken, scene("a"), (), r"broken\.xml does not load as an MJCF \(.*\); mend it there, or leave"),
-            (str(tmp_path / "gone.xml"), scene("a"), (), r"there is no file .*gone\.xml, which should be the MJCF"),
-        ):
-            with pytest.raises(Refused, match=says) as refused:
-                ArmModel(path, of, joints)
-            assert "\n" not in str(refused.value)
-
-
 class TestTheLaw:
     def test_sees_an_arm_that_moves_as_one_without_weight(self) -> None:
         """Its own caps aside: the same torques move it as they move MuJoCo's arm whose weight is compensated inside."""
@@ -183,8 +103,9 @@ class TestTheLaw:
     def test_gets_from_a_held_weight_what_the_damping_in_the_header_takes_up(self, tmp_path: Path) -> None:
         """A pendulum upright, dg/dq = -m g l, is driven by m g l dt (1/2 + d) v; a damping of that much holds it."""
         dt, m, length = 5e-3, 1.0, 0.5
-        file = written(tmp_path, f"<mujoco><worldbody><body><joint name='lift' axis='0 -1 0'/><inertial pos='{length} 0 0' "
-                                 f"mass='{m}' diaginertia='1e-9 1e-9 1e-9'/></body></worldbody></mujoco>")
+        file = written(tmp_path, "<mujoco><worldbody><body><joint name='lift' axis='0 -1 0'/>"
+                       f"<inertial pos='{length} 0 0' mass='{m}' diaginertia='1e-9 1e-9 1e-9'/>"
+                       "</body></worldbody></mujoco>")
         inertia, stiffness = m * length ** 2, m * 9.81 * length
         for late in (0, 2):
             bound = stiffness * dt * (0.5 + late)
