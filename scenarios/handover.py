@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from channel import Delay
-from master import Grip, Reach, Recording, Rest
+from master import Grip, Reach, Recording
 from scenarios.bench_top import spans
 from scenarios.pose import Moves, at_lever
 from slave import Wall
@@ -27,10 +27,12 @@ def scene(
     *,
     law: Law = PositionPosition(),
     delay: knob.LinkDelay = 0.02,
+    axes: Annotated[int, Knob("", "joints, of which the spring is before the first", low=1, high=6)] = 1,
     actions: Annotated[Path | None, Knob(
         "", "file with the policy's motion: CSV of t, x (s, rad); none: it goes to `to`")] = None,
-    to: Annotated[float, Knob("rad", "angle that the policy takes the handle to")] = 0.65,
-    takes: Annotated[Times, Knob("s", "times at which the policy is switched on and off", low=0.0)] = (1.0, 3.0),
+    to: Annotated[float | tuple[float, ...], Knob("rad", "angle that the policy takes each joint to")] = 0.65,
+    takes: Annotated[Times | None, Knob(
+        "s", "times at which the policy is switched on and off; none: by orders alone", low=0.0)] = (1.0, 3.0),
     silent: Annotated[Times, Knob("s", "times from and to which the policy sends nothing", low=0.0)] = (),
     rate: Annotated[float, Knob("Hz", "actions of the policy a second", above=0.0)] = 30.0,
     late: Annotated[float, Knob("s", "time that an action takes from the policy to the master", low=0.0)] = 0.05,
@@ -57,13 +59,15 @@ def scene(
 ) -> Scene:
     """A policy takes a joint over, moves it to a spring and gives it back; a hand may take it by force."""
     size = LEVER * LEVER
-    along = Reach(to=0.9 * to, start=0.6, duration=1.6)
-    back = () if grip is None else (Reach(to=-to - 1.0, start=grip, duration=0.4),)
+    goal = to if isinstance(to, tuple) else (to,) * axes
+    along = Reach(to=tuple([0.9 * each for each in goal]), start=0.6, duration=1.6)
+    back = () if grip is None else (Reach(to=tuple([-each - 1.0 for each in goal]), start=grip, duration=0.4),)
     return Scene(
         law=sized(law),
-        names=("joint",),
-        units=("rad",),
-        hand=Grip(mass=0.4 * size, k=k_h, d=d_h, reference=Moves((along, *back)) if to else Rest()),
+        axes=axes,
+        names=("joint",) if axes == 1 else (),
+        units=("rad",) * axes,
+        hand=Grip(mass=0.4 * size, k=k_h, d=d_h, reference=Moves((along, *back))),
         master=MassDamper(mass=0.1 * size, damping=0.5 * size),
         link=Delay(delay),
         slave=MassDamper(mass=0.5 * size, damping=size),
@@ -71,8 +75,8 @@ def scene(
         watchdog=None if timeout is None else Watchdog(timeout=timeout),
         cap=Cap.of(f_max=f_max, slew=slew),
         handover=Handover(
-            policy=Reach(to=to, start=0.5, duration=1.5) if actions is None else Recording(path=str(actions)),
-            takes=spans("takes", takes), silent=spans("silent", silent), rate=rate, late=late, Kp=Kp, Bp=Bp, f_max=pull,
+            policy=Reach(to=goal, start=0.5, duration=1.5) if actions is None else Recording(path=str(actions)),
+            takes=() if takes is None else spans("takes", takes), silent=spans("silent", silent), rate=rate, late=late, Kp=Kp, Bp=Bp, f_max=pull,
             slew=pull_slew, ramp=ramp, energy=tank, power=tank_power),
         observer=observer,
         energy=energy,

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from teleop.live.devices.compensated import Compensated
     from teleop.live.devices.device_watchdog import DeviceWatchdog
     from teleop.live.end import end_main
+    from teleop.live.policy_page import PolicyWriter
     from teleop.live.records.merge import load_result
     from teleop.physics.implicit import Resistance
     from teleop.physics.plant import MassDamper, Plant
@@ -84,12 +85,12 @@ __all__ = [
     "Compensated", "Coupling", "Deadband", "Device", "DeviceError", "DeviceWatchdog", "Direct", "ElectricalDamping",
     "Encoder", "EndFit", "Energy", "Environment", "Facts", "Fixed", "FourChannel", "Frame", "GrowingRun", "Hand",
     "Handover", "Hold", "Integral", "Knob", "Law", "Levant", "LowPass", "MassDamper", "ModelMediated", "OnePortLaw",
-    "Operator", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PositionPosition", "Reading",
-    "Reference", "Refused", "Resistance", "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Servo", "Table",
-    "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave", "WaveFilter",
-    "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero", "__version__", "around", "check_device",
-    "check_knobs", "check_law", "each_axis", "end_main", "facts_of", "find_law", "fitted", "load_result", "load_scene",
-    "messages", "number", "run", "seed_energy", "servos_of_file", "sweep", "whole_number",
+    "Operator", "PDDamped", "PDamped", "PassivityController", "Plant", "Playout", "PolicyWriter", "PositionPosition",
+    "Reading", "Reference", "Refused", "Resistance", "Result", "RotationAxes", "Scaled", "Scaling", "Scene", "Servo",
+    "Table", "TwoLayer", "Vector", "VelocityEstimator", "VirtualCoupling", "VirtualWall", "Watchdog", "Wave",
+    "WaveFilter", "WaveMatched", "WavePosition", "WavePrediction", "WaveScaled", "Zero", "__version__", "around",
+    "check_device", "check_knobs", "check_law", "each_axis", "end_main", "facts_of", "find_law", "fitted",
+    "load_result", "load_scene", "messages", "number", "run", "seed_energy", "servos_of_file", "sweep", "whole_number",
 ]
 _HOMES = {  # the module of each name, under this package
     "checks.law": ("check_law",),
@@ -124,6 +125,7 @@ _HOMES = {  # the module of each name, under this package
     "live.devices.compensated": ("Compensated",),
     "live.devices.device_watchdog": ("DeviceWatchdog",),
     "live.end": ("end_main",),
+    "live.policy_page": ("PolicyWriter",),
     "physics.implicit": ("Resistance",),
     "physics.plant": ("MassDamper", "Plant"),
     "physics.servo": ("Servo",),

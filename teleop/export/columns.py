@@ -78,6 +78,13 @@ KNOWN: Mapping[str, Quantity] = {
     "way_m": Quantity("m", "way that an alignment has to go", "master", True),
     "E_align_m": Quantity("J", "energy that alignments have put into the law's port", "energy"),
     "offset_m": Quantity("m", "how far the master has moved beyond what its law was told", "master", True),
+    "policy_m": Quantity("1", "who has authority: 0 the operator, 1 the policy; 2 the operator, by force; 3 the "
+                         "operator, for the policy is late; 4 the same, for link or clutch is open", "master"),
+    "authority_m": Quantity("1", "the policy's share of its force: 0 the operator alone, 1 all of it", "master"),
+    "f_policy_m": Quantity("N", "force of the policy on the master, along its motion", "master", True),
+    "E_tank_m": Quantity("J", "energy that the policy has left", "master"),
+    "E_policy_m": Quantity("J", "work that the policy has done on the master", "energy"),
+    "refused_m": Quantity("1", "actions of the policy that were refused: no numbers, or leaps", "master"),
     "f_h": Quantity("N", "force of the hand on the master", "master", True),
     "f_h_hat": Quantity("N", "force of the hand as the observer estimates it", "master", True),
     "E_po": Quantity("J", "energy that the passivity observer has counted at the master's port", "energy", True),

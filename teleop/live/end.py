@@ -101,7 +101,8 @@ def _run_with(
         _check_stepped(args, made)
         stem = f"{scene.name}-{NAMES[e]}"
         with (realtime.scheduling_of(args, interrupt) as scheduling, fresh_folder(args.out, stem) as folder,
-              _with_watchdog(e, args, knobs, made, folder.path, scheduling.above) as watched_device):
+              _with_watchdog(e, args, knobs, made, folder.path, scheduling.above) as watched_device,
+              _policy_page(endpoint, folder.path)):
             progress = Progress(sys.stderr, scene.ticks)
             command = ["python", "-m", NAMES[e], *argv]
             about = {"scene": args.scene, "seed": args.seed, "command": command,
@@ -188,6 +189,17 @@ def _with_watchdog(e: str, args: Namespace, knobs: dict[str, str], device: LiveD
     from teleop.live.devices.device_watchdog import with_watchdog
 
     return with_watchdog(device, folder, priority, default)
+
+
+def _policy_page(endpoint: Endpoint, folder: Path) -> AbstractContextManager[object]:
+    """The page by which a policy of another process sends its actions, at an end whose scene has one."""
+    if endpoint.policy is None:
+        return nullcontext()
+    from teleop.live.policy_page import PolicyPage
+
+    page = PolicyPage(folder, endpoint.scene.axes)
+    endpoint.policy.page = page.read
+    return page
 
 
 def _tell_result(args: Namespace, result: Result, folder: Path, command: list[str]) -> None:

@@ -44,6 +44,7 @@ SHAPES: dict[str, Check] = {
     "idle": record({"order": one_of("idle")}),
     "clutch": record({"order": one_of("clutch"), "open": truth}),
     "scale": record({"order": one_of("scale"), "to": real}),
+    "policy": record({"order": one_of("policy")}, {"takes": truth, "to": list_of(real, most=_MOST_AXES)}),
     "turn": record({**_TURN, "out": text}, {"again": truth, "align": _place}),
 }
 """By the word behind `order`: what an end takes."""

@@ -17,6 +17,8 @@ a slave that moves on meanwhile.
 The order "idle" ends the end's record: what the ticks come to from then on is in a short file of the newest rows alone,
 for whoever looks on, until a turn begins the next record.
 
+The order "policy" switches a policy on or off (`takes`), or is its next action (`to`): see `teleop.stages.handover`.
+
 The order "clutch" ends the session in the same way and begins none until it is closed again: positions count from where
 each end is by then.
 """
@@ -82,6 +84,8 @@ class Turning:
             self._clutch(order["open"])
         elif word == "scale":
             self._scale(order["to"])
+        elif word == "policy":
+            self._policy(order.get("takes"), order.get("to"))
         elif self._next is None and not self._turned:
             self._begin(order)
         else:
@@ -107,6 +111,17 @@ class Turning:
         try:
             about = () if swing is None else (tuple(map(float, swing)),)
             self._device.steer(None if to is None else tuple(map(float, to)), *about)
+        except Refused as refused:
+            refuse(str(refused))
+
+    def _policy(self, takes: bool | None, to: list[float] | None) -> None:
+        """Switch the policy on or off, or hand its next action to the ticks."""
+        policy = self._shell.endpoint.policy
+        if policy is None:
+            refuse("this end has no policy; orders `policy` are for the master of a scene with handover=Handover()")
+            return
+        try:
+            policy.order(takes, None if to is None else tuple(map(float, to)))
         except Refused as refused:
             refuse(str(refused))
 
@@ -172,6 +187,8 @@ class Turning:
             _check_alike(shell.scene, scene)
             endpoint = Endpoint(scene, shell.endpoint.e, shell.endpoint.session)
             endpoint.senses(bool(shell.device.sensor), shell.device.switches)
+            if endpoint.policy is not None and shell.endpoint.policy is not None:
+                endpoint.policy.page = shell.endpoint.policy.page
             deadline = deadline_of(self._device, endpoint)
             claimed = claim(order["out"])
             try:

@@ -84,6 +84,7 @@ class PolicyInput:
             self._pending = word.to or self._pending
         if self._pending is not None:
             self._action, self._pending, renewed = self._pending, None, 1.0
+            self._drawn, self._next, self._goes_on = Actions([inf], ()), 0, False  # what the scene has stood in for it
         on = scheduled(self._switched, k) > 0.0 if self._takes is None else self._takes
         return 1.0 if on else 0.0, renewed, self._action
 

@@ -231,6 +231,8 @@ class Scene:
             self.frame.triples(self)
         self._check_deadband()
         self._check_operator()
+        if self.handover is not None:
+            self.handover.pulls(self.dt_ns / 1e9, self.axes)
         self._check_packet()
         for each in self.environments:
             if each is not None and (
