@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from teleop import Cap, Knob, Law, MassDamper, Operator, Refused, Scene, Watchdog, Wave, each_axis, knob
+from teleop import Cap, Handover, Knob, Law, MassDamper, Operator, Refused, Scene, Watchdog, Wave, each_axis, knob
 
 DAY = 86400.0  # s
 PerAxis = float | tuple[float, ...]
@@ -55,6 +55,12 @@ def scene(
         "m", "longest way (or rad) of that; none: any", above=0.0)] = None,
     needs_clutch: Annotated[bool, Knob("", "refuse a master's device without a clutch")] = False,
     needs_present: Annotated[bool, Knob("", "refuse a master's device without an operator-present switch")] = False,
+    policy: Annotated[PerAxis | None, Knob(
+        "N", "most force (or torque, N m) of a policy that may take over; none: no policy", above=0.0)] = None,
+    policy_stiffness: Annotated[PerAxis, Knob(
+        "N/m", "stiffness (or N m/rad) by which it pulls the master", low=0.0)] = 12.0,
+    policy_tank: Annotated[float, Knob("J", "energy tank of that policy", above=0.0)] = 0.3,
+    policy_power: Annotated[float, Knob("W", "power that fills it", low=0.0)] = 0.6,
     observer: knob.ObserverBandwidth = 200.0,
     energy: knob.EnergyLedgers = True,
     dt: knob.Tick = 1e-3,
@@ -75,6 +81,8 @@ def scene(
         cap=each_axis(Cap.of, axes, f_max=f_max, slew=slew, v_max=v_max, power=power),
         operator=Operator(clutch=spans("clutch", clutch), absent=spans("absent", absent), ramp=clutch_ramp,
                           closes_within=closes_within, needs=needs, align=align, align_most=align_most),
+        handover=None if policy is None else Handover(
+            f_max=policy, Kp=policy_stiffness, energy=policy_tank, power=policy_power),
         observer=observer,
         energy=energy,
         dt=dt,

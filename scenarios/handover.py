@@ -40,6 +40,7 @@ def scene(
     Bp: Annotated[float, Knob("N m s/rad", "damping by which it does", low=0.0)] = 0.5,
     pull: Annotated[float, Knob("N m", "most torque of the policy", above=0.0)] = 1.0,
     pull_slew: Annotated[float, Knob("N m/s", "most change of that torque", above=0.0)] = 20.0,
+    leap: Annotated[float, Knob("rad", "farthest that an action may be from where the policy is", above=0.0)] = 0.9,
     ramp: Annotated[float, Knob("s", "time in which authority goes over", above=0.0)] = 0.2,
     tank: Annotated[float, Knob("J", "energy tank of the policy: the most work that it does at once", above=0.0)] = 0.3,
     tank_power: Annotated[float, Knob("W", "power that fills the tank", low=0.0)] = 0.6,
@@ -76,7 +77,8 @@ def scene(
         cap=Cap.of(f_max=f_max, slew=slew),
         handover=Handover(
             policy=Reach(to=goal, start=0.5, duration=1.5) if actions is None else Recording(path=str(actions)),
-            takes=() if takes is None else spans("takes", takes), silent=spans("silent", silent), rate=rate, late=late, Kp=Kp, Bp=Bp, f_max=pull,
+            takes=() if takes is None else spans("takes", takes), silent=spans("silent", silent), rate=rate,
+            late=late, leap=leap, Kp=Kp, Bp=Bp, f_max=pull,
             slew=pull_slew, ramp=ramp, energy=tank, power=tank_power),
         observer=observer,
         energy=energy,

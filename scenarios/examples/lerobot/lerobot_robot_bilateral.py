@@ -1,7 +1,9 @@
 """The slave of a live run as a LeRobot robot: its motion and force are the observation, beside LeRobot's cameras.
 
-It reads the record that the slave's end writes. What drives the slave is the run's law: an action that LeRobot sends is
-written into its data set, and goes nowhere else, so no policy can move the slave by it.
+It reads the record that the slave's end writes. What drives the slave is the run's law. With `policy` an action that
+LeRobot sends goes to the master's end, whose scene has a `Handover`: while the policy has authority it moves the handle
+there, the slave with it, and a hand on the handle takes over by force. Without it an action is written into the data
+set, and goes nowhere else: a teleoperator's own action must not come back to it.
 """
 
 from __future__ import annotations
@@ -11,7 +13,10 @@ from typing import Any
 
 from lerobot.cameras import CameraConfig, make_cameras_from_configs
 from lerobot.robots import Robot, RobotConfig
+from lerobot.utils.errors import DeviceNotConnectedError
 from lerobot_teleoperator_bilateral import features, following, now
+
+from teleop import PolicyWriter, Refused
 
 
 @RobotConfig.register_subclass("bilateral")
@@ -22,6 +27,7 @@ class BilateralRobotConfig(RobotConfig):  # type: ignore[misc]  # LeRobot need n
     run: str  # the folder that the slave's end, or a demo, writes
     axes: list[str] = field(default_factory=lambda: ["x"])  # a name for each, as at the teleoperator
     force: str = "f_s"  # N: of the stack on the slave; f_env: of the slave on what it touches, where it is sensed
+    policy: str = ""  # the folder of the master's end on this machine, to which a policy's actions go; "": to none
     patience: float = 5.0  # s without a row, after which it counts as gone
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
@@ -35,6 +41,7 @@ class BilateralRobot(Robot):  # type: ignore[misc]  # as above
     def __init__(self, config: BilateralRobotConfig) -> None:
         super().__init__(config)
         self.config, self._newest = config, None
+        self._policy: PolicyWriter | None = None
         self.cameras = make_cameras_from_configs(config.cameras)
 
     @property
@@ -59,6 +66,12 @@ class BilateralRobot(Robot):  # type: ignore[misc]  # as above
         for camera in self.cameras.values():
             camera.connect()
         self._newest = following(self.config.run, "s", self.config)
+        if self.config.policy:
+            try:
+                self._policy = PolicyWriter(self.config.policy)
+            except Refused as refused:
+                raise DeviceNotConnectedError(str(refused)) from refused
+            self._policy.switch(on=True)
 
     def calibrate(self) -> None:
         """There is nothing to calibrate."""
@@ -71,10 +84,16 @@ class BilateralRobot(Robot):  # type: ignore[misc]  # as above
         return {**state, **{name: camera.async_read() for name, camera in self.cameras.items()}}
 
     def send_action(self, action: dict[str, float]) -> dict[str, float]:
-        """Nothing is sent: the slave does this already, by the law."""
+        """Send a policy's action to the master; of a teleoperator's nothing: the slave does it already, by the law."""
+        if self._policy is not None:
+            self._policy.send([action[f"{axis}.pos"] for axis in self.config.axes])
         return action
 
     def disconnect(self) -> None:
+        policy, self._policy = self._policy, None
+        if policy is not None:
+            policy.switch(on=False)
+            policy.close()
         newest, self._newest = self._newest, None
         if newest is not None:
             newest.close()

@@ -67,6 +67,9 @@ const heard = {
       at.className = one.cause && !m.switching ? "safe" : "";
       at.textContent = off ? (e === "m" ? off : "") : one.gain == null ? "" : `${name}\u2019s force ${pc(one.gain)}${one.cause ? ": " + one.cause : ""}`;
     }
+    $("policy").hidden = !m.policy;
+    $("policy").setAttribute("aria-pressed", String(!!(m.policy && m.policy.on)));
+    $("who").textContent = m.policy && m.policy.who ? m.policy.who[0].toUpperCase() + m.policy.who.slice(1) : "";
     connection();
     pressed(m.clutch || clutch);
     const scaled = $("k_scale");  // which another page may have set
@@ -247,6 +250,7 @@ function setClutch(open) {
 $("clutch").onpointerdown = event => { $("clutch").setPointerCapture(event.pointerId); setClutch(true); };
 $("clutch").onpointerup = $("clutch").onpointercancel = $("clutch").onlostpointercapture = () => setClutch(false);
 $("clutch").oncontextmenu = event => event.preventDefault();
+$("policy").onclick = () => { letGo(); sent({type: "policy", takes: $("policy").getAttribute("aria-pressed") !== "true"}); };
 $("again").onclick = again;
 $("go").onclick = letGo;
 
@@ -322,6 +326,7 @@ onkeydown = event => {
     if (!event.repeat) setClutch(true);
   } else if ((event.key === "r" || event.key === "R") && !event.repeat) again();
   else if ((event.key === "p" || event.key === "P") && !event.repeat) $("pause").click();
+  else if ((event.key === "t" || event.key === "T") && !event.repeat && !$("policy").hidden) $("policy").click();
   else if (free && ARROWS[event.key] && base()) {
     const [axis, way] = ARROWS[event.key], to = base().slice();
     if (axis >= to.length) return;

@@ -57,6 +57,7 @@ class Page:
         self._hand_order: HandSwing | tuple[float, ...] | None = None  # last motion of the hand that was ordered
         self._ordered = False  # the master has that order, and nothing since that undoes it
         self._swings = True  # nobody has moved the hand since the start, so it swings by itself
+        self._policy: dict[str, Any] = {"on": False, "who": ""}  # the switch, and who has authority as a sentence
         self._steered_at = now()  # time at which somebody steered last
         self._idle_at: float | None = None  # time at which the ends were ordered to write no more; None: they write
         self._written, self._free = 0, 0  # bytes in the folder, and left of its disk
@@ -148,6 +149,8 @@ class Page:
             self._clutch.hold(page, held=message["open"])
         elif kind == "scale":
             self._order_scale(self._controls.set_scale(message["to"]))
+        elif kind == "policy":
+            self._switch_policy(on=message["takes"])
         elif kind == "turn":
             self._switches.ask(self._controls.chosen(self._switches.wanted, message))
         else:
@@ -159,6 +162,13 @@ class Page:
         """Have the master change the scale of the slave's motion, in the session that runs."""
         self._shaking.note_motion()
         self._children.order({"order": "scale", "to": scale}, "master")
+
+    def _switch_policy(self, *, on: bool) -> None:
+        """Switch the scene's policy on or off."""
+        if self._scene.handover is None:
+            raise Refused("this scene has no policy; take one with handover=Handover(), for example handover")
+        self._policy["on"] = on
+        self._children.order({"order": "policy", "takes": on}, "master")
 
     def forget(self, page: Hashable) -> None:
         """Forget a page that was closed; its pointer lets go by its silence, see `Drag`."""
@@ -347,6 +357,7 @@ class Page:
     def _take_answer(self, name: str) -> None:
         """Note that a process has switched; report it when all have."""
         if (switch := self._switches.take_answer(name, self._now())) is not None:
+            self._policy = {"on": False, "who": ""}
             self._shaking = self._shaking_of()  # for the new part: another law that shakes is reported again
             self._tell("info", self._describe_switch(switch))
             self._ordered = False  # a hand that is back at the start needs its target again
@@ -357,6 +368,8 @@ class Page:
     def _happened(self, name: str, event: dict[str, Any]) -> None:
         """Take an event that the end's own record has too."""
         what = event["what"]
+        if what == "policy":
+            self._policy["who"] = event["why"]
         if what == "met" and name == "master":
             self._aligns = False
             self._clutch.begin_session(event["k"])
@@ -430,6 +443,7 @@ class Page:
         self._began = None
         self._aligns, self._swings, self._idle_at, self._steered_at = False, True, None, self._now()
         self._clutch, self._shaking = Clutch(self._scene), self._shaking_of()
+        self._policy = {"on": False, "who": ""}
         try:
             await self._children.start(knobs, folders)
             if self._controls.scale != 1.0:
@@ -482,5 +496,6 @@ class Page:
             "type": "status", **ends, **worst, "loss": max(0.0, *losses) if losses else None,
             "switching": self._switches.under_way is not None, "idle": self._idle_at is not None,
             "written": self._written, "free": self._free, "lost": None if lost is None else f"the {lost}",
+            "policy": None if self._scene.handover is None else self._policy,
             "scale": self._controls.scale, "clutch": self._clutch.is_open, "parts": len(self._parts),
             "shakes": self._shaking.shakes})

@@ -121,9 +121,10 @@ _SHAPES: dict[str, dict[str, Check]] = {
     "turn": {"law": text, **dict.fromkeys(SLIDERS, real)},
     "clutch": {"open": truth},
     "scale": {"to": real},
+    "policy": {"takes": truth},
     "again": {},
 }
-_NEEDED = {"hand": ("to",), "turn": (), "clutch": ("open",), "scale": ("to",), "again": ()}
+_NEEDED = {"hand": ("to",), "turn": (), "clutch": ("open",), "scale": ("to",), "policy": ("takes",), "again": ()}
 
 
 class Garbage(Misshapen):

@@ -20,7 +20,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from teleop import Refused
+from teleop.live.policy_page import PolicyPage
 from teleop.live.records.reader import FILE
+from teleop.protocol.policy import PolicyWord
 from teleop.scene.library import ROOT
 from tests.teleop.export.conftest import LiveEnd
 
@@ -184,6 +187,24 @@ def test_an_action_is_sent_nowhere(plugin: Any, tmp_path: Path) -> None:
     before = (tmp_path / "run" / "slave" / FILE).read_bytes()
     assert arm.send_action({"x.pos": 9.0}) == {"x.pos": 9.0}
     assert (tmp_path / "run" / "slave" / FILE).read_bytes() == before
+
+
+@pytest.mark.usefixtures("ends")
+def test_an_action_of_a_policy_goes_to_the_masters_end(plugin: Any, tmp_path: Path) -> None:
+    arm = plugin.BilateralRobot(plugin.BilateralRobotConfig(run=str(tmp_path / "run"), policy=str(
+        tmp_path / "run" / "master")))
+    with pytest.raises(NotConnected, match="no folder of a master that runs and takes a policy's actions"):
+        arm.connect()
+    arm.disconnect()
+    with PolicyPage(tmp_path / "run" / "master", 1) as page:
+        arm.connect()
+        assert page.read() == PolicyWord(takes=True, to=None)
+        assert arm.send_action({"x.pos": 0.2, "x.vel": 9.0}) == {"x.pos": 0.2, "x.vel": 9.0}
+        assert page.read() == PolicyWord(takes=None, to=(0.2,))
+        with pytest.raises(Refused, match="finite"):
+            arm.send_action({"x.pos": float("nan")})
+        arm.disconnect()
+        assert page.read() == PolicyWord(takes=False, to=None)
 
 
 def test_a_run_that_stands_still_or_is_over_is_not_connected(
