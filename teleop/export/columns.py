@@ -84,6 +84,7 @@ KNOWN: Mapping[str, Quantity] = {
     "f_policy_m": Quantity("N", "force of the policy on the master, along its motion", "master", True),
     "E_tank_m": Quantity("J", "energy that the policy has left", "master"),
     "E_policy_m": Quantity("J", "work that the policy has done on the master", "energy"),
+    "offset_policy_m": Quantity("m", "how far the master is from where its law was told that it is", "master", True),
     "refused_m": Quantity("1", "actions of the policy that were refused: no numbers, or leaps", "master"),
     "f_h": Quantity("N", "force of the hand on the master", "master", True),
     "f_h_hat": Quantity("N", "force of the hand as the observer estimates it", "master", True),

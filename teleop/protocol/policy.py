@@ -102,6 +102,7 @@ class PolicyEvents:
 
     def __init__(self, scene: Scene, columns: Sequence[str]) -> None:
         self._at, self._refused_at = columns.index("policy_m"), columns.index("refused_m")
+        self._offsets = [i for i, name in enumerate(columns) if name == "offset_policy_m@"]
         self._ns = scene.dt_ns
         self._leap = scene.handover.leap  # type: ignore[union-attr]
         self._is, self._refused = Standing.OPERATOR, 0.0
@@ -112,12 +113,19 @@ class PolicyEvents:
         """Row of tick k of the grid."""
         if row[self._at] != self._is and self._may(k, "policy", APART_NS):
             self._is = Standing(int(row[self._at]))
-            guard.tell(k, "policy", SAYS[self._is])
+            guard.tell(k, "policy", SAYS[self._is] + self._away(row))
         if row[self._refused_at] > self._refused and self._may(k, "refused", 10 * APART_NS):
             refused = int(row[self._refused_at] - self._refused)
             self._refused = row[self._refused_at]
             guard.tell(k, "policy", f"{number_of(refused, 'action')} of the policy refused: farther than {self._leap} "
                        "from where it was (m or rad), or no number; send smaller steps, or set leap higher")
+
+    def _away(self, row: Sequence[float]) -> str:
+        """The offset that a policy without a motor at the leader has left, in words."""
+        if self._is == Standing.POLICY or not self._offsets:
+            return ""
+        far = max([row[i] for i in self._offsets], key=abs)
+        return f"; the handle is {far:.3g} m or rad from where its law was told, and that stays"
 
     def _may(self, k: int, what: str, apart_ns: int) -> bool:
         """Reserve an event at tick k; False if it comes too soon, or after too many."""

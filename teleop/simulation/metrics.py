@@ -217,10 +217,14 @@ def _by_axis(numbers: tuple[float, ...]) -> Any:
 
 
 def law_places(trace: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The trace with the master's position as its law was told it, where an operator's clutch stands between."""
-    if "offset_m" not in trace or "x_m" not in trace:
+    """The trace with the master's position as its law was told it, where a clutch or a policy stands between."""
+    offsets = [name for name in ("offset_m", "offset_policy_m") if name in trace]
+    if not offsets or "x_m" not in trace:
         return trace
-    return ChainMap({"x_m": trace["x_m"] - trace["offset_m"]}, trace)  # type: ignore[arg-type]
+    x = trace["x_m"]
+    for name in offsets:
+        x = x - trace[name]
+    return ChainMap({"x_m": x}, trace)  # type: ignore[arg-type]
 
 
 def _ticks(trace: Mapping[str, Any], dt: float) -> NDArray[np.int64]:

@@ -273,8 +273,8 @@ def elapsed(run: Run, e: End) -> Any:
 
 
 def held_of_law(e: End, a: Axis) -> Any:
-    """The law's part of the held force of one axis, N: without a policy all of it."""
-    return e.stage.handover.axes[a.i].f_port if e.stage.handover else a.f
+    """The law's part of the held force of one axis, N: all of it where no policy pulls beside it."""
+    return e.stage.handover.axes[a.i].f_port if e.stage.handover and not e.stage.handover.moves else a.f
 
 
 def law_of(run: Run, a: Axis) -> Any:

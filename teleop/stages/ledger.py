@@ -73,7 +73,9 @@ class PortLedger(Stage):
 
     def act(self, run: Run, e: End, k: int) -> None:
         for a, moved in zip(e.axes, self.axes, strict=True):
-            if e.stage.encoder and e.stage.scaling:
+            if e.stage.handover and e.stage.handover.moves:  # whose port has a second motion
+                self.E_port = self.E_port + a.at.f_held * a.at.dx
+            elif e.stage.encoder and e.stage.scaling:
                 self.E_port = self.E_port + held_of_law(e, a) * (a.x - moved.x_was) / in_joules_of_law(e, a)
             elif e.stage.encoder:
                 self.E_port = self.E_port + held_of_law(e, a) * (a.x - moved.x_was)

@@ -187,7 +187,7 @@ def metered(axes: int = 1) -> list[Scene]:
             for n in range(MANY)]
 
 
-def handed_over(policy: bool = True, axes: int = 1, **parts: Any) -> list[Scene]:
+def handed_over(policy: bool = True, axes: int = 1, motor: bool = True, **parts: Any) -> list[Scene]:
     """A policy whose switch bounces, with a small tank, actions that leap and others that are missing."""
     dice = random.Random(7)
     base = load_scene("canonical", law="pp", link="delay(0.01) | uniform(0.005) | blackout(0.15, 0.05)", energy=True)
@@ -196,7 +196,7 @@ def handed_over(policy: bool = True, axes: int = 1, **parts: Any) -> list[Scene]
                     cap=Cap(f_max=2.0 + n, slew=500.0, v_max=0.2, power=0.05), handover=Handover(
                         policy=moves, takes=bouncing(n, 4), silent=((0.1, 0.2),), rate=60.0, late=0.01, Kp=400.0,
                         Bp=10.0, f_max=3.0, slew=600.0, ramp=0.02, energy=0.004 * (n + 1), power=0.01 * n, soft=0.003,
-                        leap=0.03, grip=dice.uniform(0.2, 0.9)), **parts) for n in range(MANY)]
+                        leap=0.03, grip=dice.uniform(0.2, 0.9), motor=motor), **parts) for n in range(MANY)]
 
 
 def indexed() -> list[Scene]:
@@ -319,6 +319,9 @@ CASES: dict[str, Callable[[], list[Scene]]] = {
         handed_over, axes=3, left_out_m=LeftOut(0.2), operator=Operator(clutch=((0.2, 0.25),), ramp=0.02)),
     "a policy without actions": partial(handed_over, policy=False),
     "a clutch of parts, scale and alignment": indexed,
+    "a policy, no motor at the leader": partial(handed_over, motor=False, axes=3, operator=Operator(
+        clutch=((0.2, 0.25),), ramp=0.02)),
+    "no actions and no motor": partial(handed_over, policy=False, motor=False),
     "a clutch and a small slew limit": slow_slew,
     "a deadband": partial(knobs, "free_motion", "deadband", (0.05, 0.2, 0.5), law="wave", delay=0.02),
     "stages around a law": partial(knobs, "free_motion", "law.deadband_k", [0.05 * n for n in range(MANY)],

@@ -54,6 +54,10 @@ a policy                                X     X      X      -      -      X     
 a policy in three axes, a clutch, skips f      f      f      -      -      -       f
 a policy without actions                f     f      f      X      f      -       f
 a clutch of parts, scale and alignment  X     X      X      f      X      f       X
+a policy in three axes, a clutch, skips f     f      f      -      -      -       f
+a policy without actions                f     f      f      X      f      f       f
+a policy, no motor at the leader        X     f      X      -      -      X       f
+no actions and no motor                 f     f      f      f      f      f       f
 a clutch and a small slew limit         f     f      f      f      f      f       f
 a deadband                              X     X      X      f      f      -       f
 stages around a law                     f     X      X      f      f      f       X

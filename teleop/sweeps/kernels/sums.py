@@ -198,8 +198,12 @@ class FigureSums(Record):
 
 def place_of_law(e: End, a: Axis) -> Any:
     """The place of one axis as the law is told it and in its units, m."""
+    if e.stage.operator and e.stage.handover and e.stage.handover.moves:
+        return a.x - e.stage.operator.axes[a.i].offset - e.stage.handover.axes[a.i].away
     if e.stage.operator:
         return a.x - e.stage.operator.axes[a.i].offset
+    if e.stage.handover and e.stage.handover.moves:
+        return a.x - e.stage.handover.axes[a.i].away
     return place_of_master(e.stage.scaling, a) if e.stage.scaling else a.x
 
 

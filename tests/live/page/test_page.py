@@ -167,6 +167,18 @@ def test_the_clutch_is_open_while_it_is_held_and_a_turn_waits_for_it(served: Ser
     served(scenario)
 
 
+def test_a_scene_without_a_policy_refuses_its_switch(served: Serve) -> None:
+    async def scenario(page: Served) -> None:
+        async with page.open() as browser:
+            await browser.until("rows")
+            assert (await browser.until("status"))["policy"] is None
+            await browser.say("policy", takes=True)
+            assert (await browser.told("this scene has no policy"))["level"] == "error"
+        assert page.orders("master") == []
+
+    served(scenario)
+
+
 def test_the_hand_swings_in_free_space_until_somebody_moves_it_and_again_when_it_is_started_again(
     served: Serve
 ) -> None:

@@ -87,11 +87,15 @@ def test_it_is_the_policys_again_once_its_switch_was_off() -> None:
 
 
 def test_without_authority_all_numbers_are_what_they_are_without_the_stage() -> None:
-    for parts in ({}, {"operator": Operator(clutch=((0.5, 0.7),)), "cap": Cap(f_max=2.0, slew=50.0, power=0.05)}):
+    limited = {"operator": Operator(clutch=((0.5, 0.7),)), "cap": Cap(f_max=2.0, slew=50.0, power=0.05)}
+    for motor, parts in ((True, {}), (True, limited), (False, {}), (False, limited)):
         base = replace(load_scene("canonical", law="pp", duration=2.0, energy=True), **parts)
-        with_one, none = run(replace(base, handover=Handover())).trace, run(base).trace
+        with_one, none = run(replace(base, handover=Handover(motor=motor))).trace, run(base).trace
         for name in none:
-            np.testing.assert_array_equal(with_one[name], none[name], err_msg=name)
+            if name.startswith("E_port") and not motor:  # summed from what the law was told
+                np.testing.assert_allclose(with_one[name], none[name], rtol=1e-12, atol=1e-15)
+            else:
+                np.testing.assert_array_equal(with_one[name], none[name], err_msg=name)
 
 
 # Its promise
@@ -149,7 +153,7 @@ def margins(scene: Scene) -> tuple[float, float, float]:
     W, t = trace["E_policy_m"], trace["t"]
     worked = np.diff(W, prepend=0.0)
     assert worked.min() >= 0.0
-    most = np.maximum.accumulate(worked)  # of one tick
+    most = np.maximum.accumulate(worked) * (1.0 if of.motor else 2.0)  # of one tick, or of two
     seed = seed_energy(scene.laws[0], 1e-3, scene.axes)
     return float((of.energy + of.power * t + most - W).min()), float(trace["E_port"].min()) + seed, float(W[-1])
 
@@ -160,11 +164,14 @@ SEEDS = [pytest.param(range(12)), pytest.param(range(12, 400), marks=FULL)]
 @pytest.mark.parametrize("seeds", SEEDS)
 def test_the_policys_work_is_paid_for_and_the_laws_ledger_holds_whatever_policy_hand_and_link_do(seeds: range) -> None:
     worked = 0
-    for seed in seeds:
-        scene = adversary(seed)
+    for seed in [*seeds, *[-1 - seed for seed in seeds]]:
+        scene = adversary(abs(seed))
+        if seed < 0:
+            scene = replace(scene, handover=replace(scene.handover, motor=False))  # type: ignore[type-var]
         margin, ledger, work = margins(scene)
         assert margin >= -1e-12, seed
-        assert ledger >= -1e-9, seed
+        # With the clutch's transformer a ramp of one tick, and ticks left out, cost up to 2 mJ: see the stage's head.
+        assert ledger >= (-1e-9 if seed >= 0 else -5e-3), seed
         worked += work > 0.5 * scene.handover.energy  # type: ignore[union-attr]
     assert worked >= 3  # they do press the tank
 
@@ -313,3 +320,20 @@ def test_three_axes_have_one_authority_and_one_tank() -> None:
     paid = np.cumsum(np.maximum(f_p[:-1] * dx, 0.0).sum(axis=1))
     np.testing.assert_allclose(trace["E_policy_m"][1:], paid, atol=1e-12)
     assert np.abs(np.diff(f_p, axis=0)).max() < 0.025
+
+
+@pytest.mark.parametrize("law", ["pp", "wave"])
+def test_without_a_motor_the_policy_moves_the_laws_end_and_leaves_an_offset(law: str) -> None:
+    base = load_scene("handover", law=law)
+    scene = replace(base, handover=replace(base.handover, motor=False))  # type: ignore[type-var]
+    result = run(scene)
+    trace = result.trace
+    t, away = trace["t"], trace["offset_policy_m"]
+    assert np.abs(trace["f_m"][(t > 1.3) & (t < 2.9)]).max() == 0.0  # nothing of it is on the handle
+    assert max(jump(trace, 1.0, 1.5), jump(trace, 2.9, 3.4)) < JUMP
+    assert trace["x_s"][2900] > 0.55  # pressed into the spring by what the policy put in
+    assert 0.0 < trace["E_policy_m"][-1] <= 0.3 + 0.6 * t[-1]
+    assert (away[t < 1.0] == 0.0).all()
+    assert np.ptp(away[t > 3.3]) < 1e-12  # and it stays
+    assert abs(away[-1]) > 0.02
+    assert result.metrics["x_err_rms"] < 0.06  # of what the law was told

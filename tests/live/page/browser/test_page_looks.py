@@ -208,7 +208,7 @@ def test_buttons_are_called_without_their_keys_and_sliders_say_their_numbers_wit
     names = [node["name"]["value"] for node in tree if node.get("role", {}).get("value") == "button"]
     assert names == ["Clutch (hold)", "Start again", "Let go", "Pause"]
     shortcuts = "[...document.querySelectorAll('button')].map(one => one.getAttribute('aria-keyshortcuts'))"
-    assert page.evaluate(shortcuts) == ["C", "R", "Escape", "P"]
+    assert page.evaluate(shortcuts) == ["C", "T", "R", "Escape", "P"]
     page.evaluate("$('k_delay').show(.15), $('k_k_e').show(5e3)")
     assert page.evaluate("['k_delay', 'k_k_e'].map(id => $(id).getAttribute('aria-valuetext'))") == ["150 ms", "5 kN/m"]
 
