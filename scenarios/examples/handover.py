@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from teleop import Scene, load_scene, run
-from teleop.stages.handover import Standing
+from teleop.stages.authority import Standing
 
 LAWS = ("pp", "p_d", "pd_d", "pspm", "two_layer", "wave", "wave_filter", "wave_matched", "wave_position", "wave_scaled")
 DELAYS = (0.02, 0.05, 0.1)  # s

@@ -16,6 +16,7 @@ from contextlib import suppress
 from mmap import ACCESS_WRITE, mmap
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from teleop.errors import Refused, number, number_of
 from teleop.protocol.policy import PolicyWord
@@ -110,7 +111,7 @@ class PolicyWriter:
         self._page.close()
 
 
-def _words_of(page: mmap) -> tuple[memoryview, memoryview]:
+def _words_of(page: mmap) -> tuple[memoryview, Any]:
     """The page as whole numbers and as real ones."""
     plain = memoryview(page)
     return plain.cast("q"), plain.cast("d")

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 from teleop.errors import Refused, number, number_of
 from teleop.protocol.guard import ForceGuard
 from teleop.scene.scene import Scene
-from teleop.stages.handover import Actions, Standing
+from teleop.stages.authority import Standing
+from teleop.stages.handover import Actions
 from teleop.stages.operator import scheduled
 
 AT_ONCE = 64  # actions that are drawn at once, so that no tick waits for many
@@ -45,14 +46,15 @@ class PolicyInput:
     def __init__(self, scene: Scene, dt: float) -> None:
         self.page: Callable[[], PolicyWord | None] | None = None  # where another process writes actions
         self._dt, self._axes = dt, scene.axes
-        self._of: Any = scene.handover
         self._takes: bool | None = None  # by the last order; None: by the scene
         self._pending: Axes | None = None
         self._action: Axes = (0.0,) * scene.axes
         self._drawn = Actions([inf], ())
         self._next = 0  # of those drawn
         self._count = 0  # actions that were drawn so far
-        self._switched = self._of.switched(dt)
+        of: Any = scene.handover
+        self._of = of
+        self._switched = of.switched(dt)
         self._goes_on = self._of.policy is not None
         if self._goes_on and "first" not in signature(self._of.policy.samples).parameters:
             self._draw(ceil(min(scene.duration, LONGEST) * self._of.rate) + 1)

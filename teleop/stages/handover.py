@@ -48,13 +48,13 @@ of max(f_law dx_p, 0) is paid from the same tank. The promise is the same but fo
 the motion ends. As the handle does not move along, an offset between the two is left, recorded as `offset_policy_m` and
 told when the operator has authority again; and there is no force by which a hand could take over.
 
-**Who has authority** is `policy_m`, the `Standing`: the policy, once its switch is on, with an action that came within
-`patience` and none of it farther from r than `leap`; what leaps, or is no number, is no action. A late policy gives way
-over `yields` s, with defaults within 0.1 s of its last action, and comes back over `ramp` with the next. A link that
-the watchdog has let go of pauses it, and so does an open clutch. The operator takes over by the switch, or by force:
-where the policy's force meets motion against it, sum of f_p v < 0 with |f_p| above `grip` f_max on an axis, for 50 ms
-(f_p before sigma, so that an empty tank hides no hand). After that the switch has to be off before the policy can have
-authority again.
+**Who has authority** is `policy_m`, a `Standing` of `teleop.stages.authority`: the policy, once its switch is on, with
+an action that came within `patience` and none of it farther from r than `leap`; what leaps, or is no number, is none. A
+late policy gives way over `yields` s, with defaults within 0.1 s of its last action, and comes back over `ramp` with
+the next. A link that the watchdog has let go of pauses it, and so does an open clutch. The operator takes over by the
+switch, or by force: where the policy's force meets motion against it, sum of f_p v < 0 with |f_p| above `grip` f_max on
+an axis, for 50 ms (f_p before sigma, so that an empty tank hides no hand). After that the switch has to be off before
+the policy can have authority again.
 
 Recorded are `policy_m`, the share `authority_m`, `f_policy_m` by axis (N, along the motion; what was held of it), the
 tank `E_tank_m`, W as `E_policy_m`, and `refused_m`, how many actions leapt.
@@ -63,30 +63,17 @@ tank `E_tank_m`, W as `E_policy_m`, and `refused_m`, how many actions leapt.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from enum import IntEnum
 from math import ceil, inf
 from typing import Any, ClassVar, NamedTuple
 
 from teleop.errors import Refused, WrongCount, number
 from teleop.law import At
 from teleop.physics.following import Follower, approach, following
+from teleop.stages.authority import GRIPS, Rules, share_step, standing, tank_step
 from teleop.stages.end import Column, End, Places, Record, Run, Stage, elapsed, per_axis
-from teleop.stages.operator import PADDED, Spans, in_ticks, scheduled, spans_of
+from teleop.stages.operator import Spans, in_ticks, scheduled, spans_of
 
-__all__ = ["PADDED", "Handover", "HandoverStage", "ShareStage", "Standing"]
-
-GRIPS = 0.05  # s for which a hand has to resist before it takes over
 PerAxis = float | tuple[float, ...]
-
-
-class Standing(IntEnum):
-    """State of authority, as `policy_m` has it; with all but POLICY it is the operator's."""
-
-    OPERATOR = 0  # the policy's switch is off
-    POLICY = 1
-    GRIPPED = 2  # the operator took over by force
-    LATE = 3  # no action came in time
-    PAUSED = 4  # the link is not there, or the clutch is open
 
 
 class Pull(NamedTuple):
@@ -98,19 +85,6 @@ class Pull(NamedTuple):
     step: float  # N a tick
     leap: float
     follower: Follower
-
-
-class Rules(NamedTuple):
-    """Coefficients of authority and of the tank."""
-
-    up: float  # of a, a tick
-    yields: float  # of a, a tick of a policy that gives way
-    patience: float  # ticks
-    grip: float  # share of f_max
-    grips: float  # ticks
-    full: float  # J
-    soft: float  # J
-    power: float  # W
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -251,29 +225,6 @@ def farther(one: float, far: float) -> float:
 def part_of_policy(law: float, policy: float, f: float) -> float:
     """The policy's part f_p' of a held force f, of which the law asked for `law`: see the head of the file."""
     return max(min(law - f, max(policy, 0.0)), min(policy, 0.0))
-
-
-def standing(c: Rules, was: float, wants: float, allowed: float, quiet: float, resisted: float) -> float:
-    """The `Standing` of a tick. `quiet`: ticks since an action; `resisted`: ticks for which a hand resisted."""
-    if not wants > 0.0:
-        return 0.0
-    if was == 2.0 or (was == 1.0 and resisted > c.grips):
-        return 2.0
-    if not allowed > 0.0:
-        return 4.0
-    return 3.0 if quiet > c.patience else 1.0
-
-
-def share_step(c: Rules, a: float, now: float, passed: float) -> float:
-    """The policy's share after a tick; down by the ticks that passed, up by one of those that are run."""
-    if now == 1.0:
-        return min(a + c.up, 1.0)
-    return max(a - passed * (c.yields if now > 2.0 else c.up), 0.0)
-
-
-def tank_step(c: Rules, E: float, work: float, span: float) -> float:
-    """Energy left in the tank (J) after a work (J) over `span` s."""
-    return min(E - work + c.power * span, c.full)
 
 
 def pulling(c: Pull, a: float, r: float, w: float, x: float, v: float, before: float) -> float:

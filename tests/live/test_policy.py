@@ -16,7 +16,7 @@ from teleop.__main__ import main
 from teleop.live.policy_page import NAME, PolicyPage
 from teleop.live.records.merge import merge, scene_of
 from teleop.protocol.policy import SAYS, PolicyWord
-from teleop.stages.handover import Standing
+from teleop.stages.authority import Standing
 from tests.live.ordered import Ordered
 
 LATE, LEAP = SAYS[Standing.LATE], "of the policy refused: farther than 0.9"

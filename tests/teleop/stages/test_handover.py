@@ -19,7 +19,8 @@ from channel import LeftOut, parse_link
 from master import Grip, Reach, Rest, Sine
 from slave import Wall
 from teleop import Cap, Handover, MassDamper, Operator, Scene, Watchdog, find_law, load_scene, run, seed_energy
-from teleop.stages.handover import Standing, part_of_policy
+from teleop.stages.authority import Standing
+from teleop.stages.handover import part_of_policy
 from tests.fakes import law_of
 
 LISTED = ("pp", "p_d", "pd_d", "pspm", "two_layer", "wave", "wave_filter", "wave_matched", "wave_position",
@@ -87,8 +88,9 @@ def test_it_is_the_policys_again_once_its_switch_was_off() -> None:
 
 
 def test_without_authority_all_numbers_are_what_they_are_without_the_stage() -> None:
-    limited = {"operator": Operator(clutch=((0.5, 0.7),)), "cap": Cap(f_max=2.0, slew=50.0, power=0.05)}
-    for motor, parts in ((True, {}), (True, limited), (False, {}), (False, limited)):
+    limited: dict[str, Any] = {"operator": Operator(clutch=((0.5, 0.7),)), "cap": Cap(f_max=2.0, slew=50.0, power=0.05)}
+    none_at_all: dict[str, Any] = {}
+    for motor, parts in ((True, none_at_all), (True, limited), (False, none_at_all), (False, limited)):
         base = replace(load_scene("canonical", law="pp", duration=2.0, energy=True), **parts)
         with_one, none = run(replace(base, handover=Handover(motor=motor))).trace, run(base).trace
         for name in none:
