@@ -29,6 +29,7 @@ HARD: Any = load_scene("hard_wall").law  # has the gains that are found
 PRINTS = {
     "effect": r"(?: *\d+ ms a second: ok, .*\n){3}",
     "gains": rf"(?:b .* off it\n){{9}}chosen: law\.b={HARD.b:g} law\.K={HARD.K:g} law\.B={HARD.B:g}\n",
+    "handover": r"law +taking .*\n(?:\w+ +0\.00\d\d +0\.00\d\d +1\.\d\d +0\.0\d{3} +0\.\d{3}\n){2}",
     "law": r"(?:.* Hz: ok, .*\n){2}.* Hz: diverged, .*\n",
     "metric": r"(?:\w+ +\d+ N/m: +[\d.]+ N within 10 ms, the hand did +[\d.]+ J\n){4}",
     "scene": r"(?: *\d+ % lost: ok, .* least E_link 0\.000 J\n){3}",
