@@ -261,8 +261,8 @@ class Pulled(Record):
     f_policy: float  # what is held of the policy's force, along the motion, N
     f_port: float  # what is held of the law's force, N
     f_whole: float  # the force that both were parts of
-    speed: float  # of the policy's motion, m/s: p
-    moved: float  # by it in the last tick, m
+    pace: float  # of the policy's motion, m/s: p
+    led: float  # the way that it made in the last tick, m
     x_lead: float  # of a leader without a motor: the position that the law was told, m
     dx_lead: float  # its last motion, m
     away: float  # how far the device is from it, m
@@ -342,7 +342,7 @@ class HandoverStage(Stage):
             port.goal_v = port.f_slewed = port.f_asked = port.f_law = port.f_policy = port.f_port = port.f_whole = 0.0
             if self.moves:
                 port.x_lead = a.x_read
-                port.away = port.speed = 0.0
+                port.away = port.pace = 0.0
 
     def late(self, run: Run, e: End, ticks: int, since: int) -> None:
         self.ticks_since = ticks
@@ -377,13 +377,13 @@ class HandoverStage(Stage):
             port.f_port = held_at(self.shared, a.at.f_held, self.g_last * port.f_law)
             port.goal, port.goal_v = approach(port.c_pull.follower, port.x_lead, port.goal_v, port.target)
             port.goal_v = port.goal_v if self.shared > 0.0 else 0.0
-            port.moved = 0.5 * run.dt * (port.speed + self.sigma * port.goal_v)
-            port.speed = self.sigma * port.goal_v
-            self.work = self.work + max(port.f_port * port.moved, 0.0)
+            port.led = 0.5 * run.dt * (port.pace + self.sigma * port.goal_v)
+            port.pace = self.sigma * port.goal_v
+            self.work = self.work + max(port.f_port * port.led, 0.0)
         for a, port in zip(e.axes, self.axes, strict=True):
-            port.dx_lead = (1.0 - self.shared) * a.at.dx + port.moved
-            port.x_lead, port.away = led(abs(port.moved) + self.shared, a.at.x, port.dx_lead, port.away, port.x_lead)
-            a.at = At(port.x_lead, (1.0 - self.shared) * a.at.v + port.speed, (1.0 - self.shared) * a.at.f,
+            port.dx_lead = (1.0 - self.shared) * a.at.dx + port.led
+            port.x_lead, port.away = led(abs(port.led) + self.shared, a.at.x, port.dx_lead, port.away, port.x_lead)
+            a.at = At(port.x_lead, (1.0 - self.shared) * a.at.v + port.pace, (1.0 - self.shared) * a.at.f,
                       port.f_port, port.dx_lead, a.at.fresh, a.at.age, a.at.dt, a.at.span, a.at.gain)
 
     def act(self, run: Run, e: End, k: int) -> None:

@@ -51,8 +51,6 @@ a one-port                              X     X      X      X      X      -     
 a user's law, a clutch and gaps         X     X      X      f      X      X       X
 a user's law in two axes                f     f      f      f      f      f       f
 a policy                                X     X      X      -      -      X       X
-a policy in three axes, a clutch, skips f      f      f      -      -      -       f
-a policy without actions                f     f      f      X      f      -       f
 a clutch of parts, scale and alignment  X     X      X      f      X      f       X
 a policy in three axes, a clutch, skips f     f      f      -      -      -       f
 a policy without actions                f     f      f      X      f      f       f
