@@ -165,13 +165,16 @@ class MuJoCoBody:
             self._mujoco.mj_contactForce(self._model, data, n, self._wrench)
             sign = 1.0 if contact.geom[0] in self.loaded.geoms else -1.0  # it is the force of the first on the second
             force, frame = self._wrench.tolist(), contact.frame.tolist()
-            for i in range(3):
-                total[i] += sign * (force[0] * frame[i] + force[1] * frame[3 + i] + force[2] * frame[6 + i])
+            along = [sign * (force[0] * frame[i] + force[1] * frame[3 + i] + force[2] * frame[6 + i])
+                     for i in range(3)]
+            for i, each in enumerate(along):
+                total[i] += each
             if turns:
-                axes = contact.frame.reshape(3, 3).T
-                arm = np.cross(contact.pos - self._place, axes @ self._wrench[:3]) + axes @ self._wrench[3:]
-                for i, each in enumerate(arm.tolist()):
-                    total[3 + i] += sign * each
+                x, y, z = (contact.pos - self._place).tolist()
+                by_arm = y * along[2] - z * along[1], z * along[0] - x * along[2], x * along[1] - y * along[0]
+                for i, each in enumerate(by_arm):
+                    total[3 + i] += each + sign * (
+                        force[3] * frame[i] + force[4] * frame[3 + i] + force[5] * frame[6 + i])
         return tuple([total[i] for i in self.loaded.axes])
 
     def _torque(self) -> Axes:
