@@ -8,7 +8,7 @@ from typing import Any
 
 from teleop.protocol.guard import ForceGuard
 from teleop.scene.scene import Scene
-from teleop.stages.alignment import LEAD, NEAR
+from teleop.stages.alignment import BEHIND, LEAD, NEAR
 from teleop.stages.end import SWITCHES
 
 APART_NS = 100_000_000  # between two events of a switch: one that bounces must not fill what is kept of events
@@ -80,11 +80,13 @@ class SwitchEvents:
             return "refused", (f"the arm is not aligned: the handle is {size} {unit} from it on axis {name}, and "
                                f"align_most is {most:g} {unit}; move the handle nearer to the arm, and close the "
                                "clutch again")
-        if any(each > LEAD * speed > 0.0 for each, speed in zip(ahead, self._speed, strict=False)):
+        goes_on = any(each > NEAR * speed for each, speed in zip(way, self._speed, strict=False) if speed > 0.0)
+        if any(each > (LEAD if goes_on else BEHIND) * speed > 0.0
+               for each, speed in zip(ahead, self._speed, strict=False)):
             size, name, unit, _ = self._worst(ahead, self._speed)
             return "waits", (f"the alignment waits for the arm, which is {size} {unit} behind on axis {name}; free it, "
                              "or open the clutch, which stops it where it is")
-        if any(each > NEAR * speed for each, speed in zip(way, self._speed, strict=False) if speed > 0.0):
+        if goes_on:
             size, name, unit, speed = self._worst(way, self._speed)
             return "aligns", (f"the arm is brought to the handle, {size} {unit} away on axis {name}, at {speed:g} "
                               f"{unit}/s: hold the clutch closed, and open it to stop")

@@ -9,9 +9,10 @@ orientation to the handle's, counted as
 
     q = exp(d_m) q exp(-d_law),    theta = log q,
 
-which is the least turn whatever way both have come. It ends, and the clutch closes, within what 20 ms of that speed
-are. A source moves the law's port then, so the law is told of it as such, v and dx of x_law and f_held = f_law, and the
-energy that it puts in, the sum of f_law dx_law, is recorded as `E_align_m`; in E_port_m, the device's port, it is not.
+which is the least turn whatever way both have come. It ends, and the clutch closes, where x_law is within 20 ms of that
+speed, and the slave of such a law within 100 ms, or `closes_within`. A source moves the law's port then, so the law is
+told of it as such, v and dx of x_law and f_held = f_law, and the energy that it puts in, the sum of f_law dx_law, is
+recorded as `E_align_m`; in E_port_m, the device's port, it is not.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from teleop.law import At
 from teleop.physics.rotation import apart_after, log
 from teleop.stages.end import Axis, End, Record, Run
 
-NEAR, LEAD = 0.02, 0.5  # s of an alignment's speed: when it is over, and how far ahead of the slave it goes
+# s of an alignment's speed: when it is over, how far behind the slave may be then, and how far it goes ahead of it
+NEAR, BEHIND, LEAD = 0.02, 0.1, 0.5
 
 
 def step_to(way: float, speed: float, apart: float, lead: float) -> float:
@@ -99,6 +101,9 @@ def look_ahead(stage: Any, e: End) -> None:
     for a, port in zip(e.axes, stage.axes, strict=True):
         if stage.shape.closes:
             port.group.far = max(abs(port.apart) / stage.c_switch.within[a.i], port.group.far)
+        elif port.aligned and stage.rx_position:
+            port.group.far = max(
+                abs(port.apart) / (stage.c_switch.behind * stage.c_switch.speed[a.i]), port.group.far)
         if port.aligned and not port.turns:
             port.group.far = max(abs(port.way) / (stage.c_switch.near * stage.c_switch.speed[a.i]), port.group.far)
             port.group.reach = max(abs(port.way) / stage.c_switch.most[a.i], port.group.reach)

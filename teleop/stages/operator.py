@@ -80,7 +80,7 @@ from teleop.errors import Refused, WrongCount, number, number_of
 from teleop.kind import positions
 from teleop.law import At, messages
 from teleop.physics.rotation import apart_after, log
-from teleop.stages.alignment import LEAD, NEAR, Unlike, bring, look_ahead
+from teleop.stages.alignment import BEHIND, LEAD, NEAR, Unlike, bring, look_ahead
 from teleop.stages.end import SWITCHES, Axis, Column, End, Places, Record, Run, Stage, per_axis
 from teleop.stages.scaling import approach, check_scale, places_of_slave, scale_at
 
@@ -105,6 +105,7 @@ class SwitchLimits(NamedTuple):
     speed: tuple[float, ...] = ()  # m or rad a tick, of each axis, of an alignment
     most: tuple[float, ...] = ()  # m or rad, of each axis: the longest way of one
     near: float = 0.0  # ticks at that speed within which it is over,
+    behind: float = 0.0  # ... by which the slave may be behind then,
     lead: float = 0.0  # ... and by which it goes ahead of the slave
     start: tuple[float, ...] = ()  # where the law's positions begin, of each axis; none: where the device is
 
@@ -189,7 +190,7 @@ class Operator:
             (in_ticks(self.clutch_translation, dt), in_ticks(self.clutch_rotation, dt)),
             _padded([(float(round(at / dt)), scale) for at, scale in self.scales]), 2.0 ** (dt / self.scale_ramp),
             tuple([speed * dt for speed in self.by_axis("align", axes, 0.0)]), self.by_axis("align_most", axes, inf),
-            NEAR / dt, LEAD / dt)
+            NEAR / dt, BEHIND / dt, LEAD / dt)
 
 
 def _pairs(name: str, value: Any, what: str, example: str) -> None:
