@@ -281,7 +281,8 @@ def test_a_devices_clutch_of_the_rotation_and_an_order_do_what_schedules_do_to_t
     plan = Operator(clutch_rotation=((0.1, 0.3),), scales=((0.2, 0.5),), ramp=0.02)
     of = replace(load_scene("pose", law="pp", duration=0.6), link=None, operator=Operator(ramp=0.02))
     expected = run(replace(of, operator=plan)).trace
-    ends, devices = met(of), {"m": WithSwitch(of), "s": SimulatedSlave(of)}
+    ends = met(of)
+    devices: dict[str, Any] = {"m": WithSwitch(of), "s": SimulatedSlave(of)}
     for k in range(of.ticks):
         now = START + k * MS
         if k == 200:
@@ -301,7 +302,8 @@ def test_a_live_master_is_silent_until_it_knows_where_the_arm_stands_and_then_br
     of = replace(load_scene("pose", law="pp", duration=3.0), link=None, hand=None, environment=None,
                  operator=Operator(align=SPEEDS))
     elsewhere = replace(of, start_s=POSE)
-    ends, devices = met(of), {"m": SimulatedMaster(of), "s": SimulatedSlave(elsewhere)}
+    ends = met(of)
+    devices: dict[str, Any] = {"m": SimulatedMaster(of), "s": SimulatedSlave(elsewhere)}
     places = []
     for k in range(of.ticks):
         now = START + k * MS
@@ -310,8 +312,7 @@ def test_a_live_master_is_silent_until_it_knows_where_the_arm_stands_and_then_br
             assert outs["m"].datagram is None
         for e, other in ("ms", "sm"):
             devices[e].hold(outs[e].force)
-            if outs[e].datagram is not None:
-                ends[other].receive(outs[e].datagram, now)
+            ends[other].receive(outs[e].datagram or b"", now)
         places.append((*outs["s"].row[:6], *outs["m"].force))
         if any(outs["m"].force):
             break
