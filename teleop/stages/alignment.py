@@ -12,7 +12,7 @@ orientation to the handle's, counted as
 which is the least turn whatever way both have come. It ends, and the clutch closes, where x_law is within 20 ms of that
 speed, and the slave of such a law within 100 ms, or `closes_within`. A source moves the law's port then, so the law is
 told of it as such, v and dx of x_law and f_held = f_law, and the energy that it puts in, the sum of f_law dx_law, is
-recorded as `E_align_m`; in E_port_m, the device's port, it is not.
+recorded as `E_align_m`. E_port_m is of the law's port, and has it.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def bring(stage: Any, run: Run, e: End, a: Axis, port: Any) -> None:
     step = port.group.drives * port.step
     port.x_law = port.x_law + step
     port.offset = port.offset - step
-    stage.E_align = stage.E_align + port.f_answer * step
+    stage.put_in = stage.put_in + port.f_answer * step
     a.at = At(port.x_law, a.at.v + step / (run.dt * stage.ticks_by if e.has.leaves_out else run.dt), a.at.f,
               a.at.f_held + port.group.drives * port.f_answer, a.at.dx + step, a.at.fresh, a.at.age, a.at.dt, a.at.span,
               a.at.gain)

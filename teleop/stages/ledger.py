@@ -72,6 +72,8 @@ class PortLedger(Stage):
                 moved.x_was = a.x
 
     def act(self, run: Run, e: End, k: int) -> None:
+        if e.stage.operator and e.stage.operator.shape.aligned:  # which moves the law's port without the device's
+            self.E_port = self.E_port + e.stage.operator.put_in
         for a, moved in zip(e.axes, self.axes, strict=True):
             if e.stage.handover and e.stage.handover.moves:  # whose port has a second motion
                 self.E_port = self.E_port + a.at.f_held * a.at.dx

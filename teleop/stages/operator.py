@@ -353,7 +353,8 @@ class OperatorStage(Stage):
     scale: float  # between the motion of the master and that of its law
     scale_was: float  # the same at the last tick
     scale_set: Any  # what it is set to, by an order
-    E_align: float  # J, put in by alignments
+    E_align: float  # J, put in by alignments,
+    put_in: float  # ... in this tick
     unmet: float  # 1.0 until a message has told where the slave is
     c_switch: Any
     least_g: float  # modulus above 0
@@ -442,10 +443,14 @@ class OperatorStage(Stage):
             self.scale_was = self.scale
 
     def situate(self, run: Run, e: End) -> None:
+        if self.shape.aligned:
+            self.put_in = 0.0
         for a, port in zip(e.axes, self.axes, strict=True):
             transform(self, a, port)
             if port.aligned:
                 bring(self, run, e, a, port)
+        if self.shape.aligned:
+            self.E_align = self.E_align + self.put_in
         for t in self.turns:
             t.w, t.x, t.y, t.z = apart_after(t.w, t.x, t.y, t.z, t.p.moved, t.q.moved, t.r.moved,
                                              t.a.at.dx, t.b.at.dx, t.c.at.dx)

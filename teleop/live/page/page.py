@@ -494,8 +494,7 @@ class Page:
         lost = next(iter(self._lost), self._silent)
         return json.dumps({
             "type": "status", **ends, **worst, "loss": max(0.0, *losses) if losses else None,
-            "switching": self._switches.under_way is not None, "idle": self._idle_at is not None,
-            "written": self._written, "free": self._free, "lost": None if lost is None else f"the {lost}",
+            "switching": self._switches.under_way is not None, "idle": self._idle_at is not None, "free": self._free,
             "policy": None if self._scene.handover is None else self._policy,
-            "scale": self._controls.scale, "clutch": self._clutch.is_open, "parts": len(self._parts),
-            "shakes": self._shaking.shakes})
+            "written": self._written, "lost": None if lost is None else f"the {lost}", "scale": self._controls.scale,
+            "clutch": self._clutch.is_open, "parts": len(self._parts), "shakes": self._shaking.shakes})

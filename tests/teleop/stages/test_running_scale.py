@@ -230,8 +230,22 @@ def test_the_wrist_is_realigned_on_closing_by_the_least_turn_while_the_translati
 def test_what_an_alignment_puts_in_is_what_the_laws_port_takes_beyond_the_device() -> None:
     of = apart(Operator(align=SPEEDS, clutch=((0.0, 0.2), (0.5, 0.6))), Turning(K=100.0, B=2.0), observer=None)
     trace = run(of).trace
+    held = np.vstack([np.zeros(6), trace["f_m"][:-1]])
+    device = np.cumsum((held * np.diff(trace["x_m"], axis=0, prepend=trace["x_m"][:1])).sum(axis=1))
     assert trace["E_align_m"][-1] > 1e-3
-    assert trace["E_m"].sum(axis=1) - trace["E_port_m"] == pytest.approx(trace["E_align_m"], abs=1e-12)
+    assert trace["E_port_m"] == pytest.approx(trace["E_m"].sum(axis=1), abs=1e-12)
+    assert trace["E_port_m"] - trace["E_align_m"] == pytest.approx(device, abs=1e-12)
+
+
+@pytest.mark.parametrize("law", ["wave_position", pytest.param("two_layer", marks=pytest.mark.full)])
+def test_an_alignment_that_is_stopped_and_begun_again_through_an_outage_leaves_the_ledgers_of_a_passive_law(
+        law: str) -> None:
+    for seed in range(3):
+        of = apart(Operator(align=SPEEDS, clutch=bouncing(seed, 10), clutch_rotation=bouncing(9 + seed, 5), ramp=0.01),
+                   law, link=parse_link("delay(0.01) | uniform(0.005) | blackout(0.7, 0.4)"))
+        trace = run(of, seed=seed).trace
+        assert "E_link" not in trace or trace["E_link"].min() >= -1e-12
+        assert trace["E_port"].min() >= -1e-4
 
 
 def test_an_alignment_stops_where_it_is_when_the_operator_lets_go() -> None:
