@@ -442,8 +442,7 @@ class Page:
         self._live, self._heard_at, self._safe, self._unreadable = {}, {}, set(), set()
         self._began = None
         self._aligns, self._swings, self._idle_at, self._steered_at = False, True, None, self._now()
-        self._clutch, self._shaking = Clutch(self._scene), self._shaking_of()
-        self._policy = {"on": False, "who": ""}
+        self._clutch, self._shaking, self._policy = Clutch(self._scene), self._shaking_of(), {"on": False, "who": ""}
         try:
             await self._children.start(knobs, folders)
             if self._controls.scale != 1.0:
