@@ -51,9 +51,9 @@ def test_a_slider_asks_for_one_turn_when_it_rests_by_keyboard_and_by_mouse_on_a_
 
 
 def test_the_scale_follows_its_slider_without_a_turn(mock: Mock, page: Page) -> None:
-    page.evaluate("""const scale = document.getElementById('k_scale');
-        scale.value = 1000;
-        for (const name of ['input', 'change']) scale.dispatchEvent(new Event(name));""")
+    page.evaluate("""const slider = document.getElementById('k_scale');
+        slider.value = 1000;
+        for (const name of ['input', 'change']) slider.dispatchEvent(new Event(name));""")
     until(lambda: mock.of("scale") and mock.of("scale")[-1] == {"type": "scale", "to": 4.0})
     assert mock.of("turn") == []
     assert labels(page)[-1].endswith("4 times the hand\u2019s")
