@@ -9,8 +9,9 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.people.felt import STIFFNESS
 from teleop.people.plan import Measure, QuestionKind, StudyPlan, TaskKind
-from teleop.people.schedule import Step, StepKind, Trial
+from teleop.people.schedule import LETTERS, Step, StepKind, Trial
 from teleop.people.scores import PAIRS, TLX_ITEMS
+from teleop.storage.strict_json import Misshapen, list_of, one_of, optional, real, record, text, truth, whole
 
 VISUAL, HAPTIC = "visual", "haptic"  # modalities of a device
 SHOWN_AFTER = 0.1  # s: a page shows the master 37 to 80 ms after the event, whatever the link does
@@ -71,6 +72,32 @@ def is_correct(plan: StudyPlan, trial: Trial, outcome: TrialOutcome) -> bool | N
     if plan.task.kind is TaskKind.REACH and outcome.end is not None:
         return abs(outcome.end - trial.level) <= 0.5 * trial.width
     return None
+
+
+_TRIAL = record({
+    "number": whole(low=1), "letter": one_of(*LETTERS), "place": whole(low=1), "training": truth, "level": real,
+    "width": real, "second": truth, "answer": optional(whole(low=1, high=2)), "correct": optional(truth),
+    **{name: optional(real) for name in ("time", "end", "overshoot", "peak_force", "delay", "loss", "skipped")},
+    "focus_lost": truth, "stopped": truth, "again": whole(low=0)})
+_ANSWER = record({"question": whole(low=0), "letter": one_of("", *LETTERS), "place": whole(low=0)}, {
+    "ratings": list_of(real), "chosen": list_of(whole(low=0, high=5)), "points": list_of(real), "texts": list_of(text)})
+
+
+def check_row(plan: StudyPlan, row: Mapping[str, Any], where: str) -> None:
+    """Refuse a line that no session of this plan writes. Raises `Refused`."""
+    try:
+        if row["kind"] == StepKind.TRIAL:
+            _TRIAL(row, "the trial")
+            if plan.task.kind is TaskKind.COMPARE and row["level"] not in plan.task.levels:
+                raise Misshapen(f"the plan has no level {row['level']:g}")
+        if row["kind"] == StepKind.QUESTION:
+            _ANSWER(row, "the answer")
+            step = Step(kind=StepKind.QUESTION, question=row["question"], letter=row["letter"], place=row["place"])
+            if step.question >= len(plan.questions):
+                raise Misshapen(f"the plan has {len(plan.questions)} questions")
+            answer_row(plan, step, row)
+    except (Misshapen, Refused) as error:
+        raise Refused(f"{where} is no line of this study ({error}); put it back from a copy") from None
 
 
 def break_row(step: Step, seconds: float) -> dict[str, Any]:

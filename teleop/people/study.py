@@ -30,6 +30,7 @@ from teleop.people.plan import QuestionKind, StudyCondition, StudyPlan
 from teleop.people.plan_file import read_plan
 from teleop.people.schedule import LETTERS, Trial, dice
 from teleop.people.scores import TLX_ITEMS, tlx_raw, tlx_weighted, tlx_weights
+from teleop.people.session import check_row
 from teleop.storage.files import creating, read_bytes, replacing, replacing_text
 from teleop.storage.folder import new_folder
 from teleop.storage.strict_json import Misshapen, json_text, parse, record, text, write_document
@@ -116,7 +117,11 @@ class Study:
     def rows(self) -> Iterator[tuple[int, list[dict[str, Any]]]]:
         """Each person's number and the lines of their journal."""
         for participant in self.people():
-            yield participant, read_journal(self.home(participant) / NAME)
+            path = self.home(participant) / NAME
+            rows = read_journal(path)
+            for number, row in enumerate(rows, 1):
+                check_row(self.plan, row, f"line {number} of {path}")
+            yield participant, rows
 
     def looks(self) -> list[dict[str, Any]]:
         """Looks at the key, with who and when; none before it is unblinded."""
@@ -212,6 +217,8 @@ def open_study(folder: Path | str, plan: StudyPlan | None = None, *, simulated: 
         letters = {letter: stored.condition(str(entry["condition"])) for letter, entry in key.items()}
         felt = {letter: {float(level): float(value) for level, value in entry["felt"].items()}
                 for letter, entry in key.items()}
+        if [*letters] != sorted(LETTERS[:len(stored.conditions)]):
+            raise KeyError
     except (TypeError, KeyError, ValueError, AttributeError, StopIteration):
         raise Refused(f"{folder / KEY} is no key of this study; put it back from a copy") from None
     return Study(folder, stored, StudyKey(letters, felt), bool(about.get("simulated")))

@@ -171,6 +171,26 @@ def test_reaches_are_analysed_by_time_throughput_and_questions(capsys: Capture) 
     assert "no measure 'w'" in typed(capsys, "analyse", "s", "--measure", "w", code=2)
 
 
+def test_a_line_that_no_session_writes_is_refused_and_named(here: Path, capsys: Capture) -> None:
+    typed(capsys, "simulate", "plan.toml", "--out", "s", "--participants", "2")
+    path = here / "s" / "sub-02" / NAME
+    whole = path.read_text()
+    for before, after, why in (
+            ('"level": 700.0', '"level": 701.0', "the plan has no level 701"),
+            ('"answer": 1', '"answer": 3', "the trial.answer must be"),
+            ('"letter": "A"', '"letter": "wave"', "the trial.letter must be"),
+            ('"stopped": false, ', "", "the trial has no stopped"),
+            ('"ratings": [', '"ratings": [500, ', "question 1 has 6 ratings"),
+            ('"question": 1', '"question": 7', "the plan has 2 questions")):
+        path.write_text(whole.replace(before, after, 1))
+        sentence = typed(capsys, "analyse", "s", code=2)
+        assert "is no line of this study (" in sentence, before
+        assert why in sentence, (why, sentence)
+    path.write_text(whole)
+    (here / "s" / KEY).write_text("{}")
+    assert "key.json is no key of this study; put it back from a copy" in typed(capsys, "analyse", "s", code=2)
+
+
 def study_in(folder: Path) -> Study:
     """A study with people."""
     return create_study(read_plan(folder / "plan.toml"), folder / "s", entropy=2**70 + 5)
