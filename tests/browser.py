@@ -46,6 +46,7 @@ class Page:
             connect(address, max_size=None, open_timeout=PATIENCE, ping_interval=None))
         self.number = 0
         self.console: list[str] = []
+        self.frames: list[str] = []  # what its sockets were sent, once `Network` is enabled
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Call a method of the protocol and wait for its answer."""
@@ -66,6 +67,8 @@ class Page:
         elif method == "Runtime.exceptionThrown":
             detail = given["exceptionDetails"]
             self.console.append(detail["text"] + " " + str(detail.get("exception", {}).get("description")))
+        elif method == "Network.webSocketFrameReceived":
+            self.frames.append(given["response"]["payloadData"])
         elif method == "Log.entryAdded":
             self.console.append(f"{given['entry']['source']}: {given['entry']['text']}")
 

@@ -2,7 +2,8 @@
 
 plan.py (what is asked), schedule.py and adaptive.py (what comes next), felt.py (what of a wall comes through a law),
 session.py and journal.py (what is kept), study.py (the folder), simulated.py (people that are made up), fit.py,
-contrasts.py, scores.py and analysis.py (what it says), recovery.py (whether the analysis can be relied on), command.py.
+contrasts.py, scores.py and analysis.py (what it says), recovery.py (whether the analysis can be relied on), plot.py,
+trials (a session with a person), command.py.
 
 A session is a loop over the journal; whoever shows the trials to a person calls, in this order:
 

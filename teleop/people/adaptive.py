@@ -44,7 +44,11 @@ def phi(x: float) -> float:
 
 
 def next_level(task: TrialTask, felt: Mapping[float, float], before: Sequence[Mapping[str, Any]]) -> float:
-    """The level of the next trial of a person in a condition, after the lines of its trials `before`."""
+    """The level of the next trial of a person in a condition, after the lines of its trials `before`.
+
+    A trial that was stopped has no answer, and counts as none.
+    """
+    before = [row for row in before if row["correct"] is not None]
     if task.method is LevelMethod.STAIRCASE:
         easiest_first = sorted(task.levels, key=lambda level: -abs(log(level / task.standard)))
         return easiest_first[staircase_index(len(task.levels), task.down, [bool(row["correct"]) for row in before])]

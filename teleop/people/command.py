@@ -17,8 +17,8 @@ from teleop.people.analysis import Analysed, Findings, analyse, every_pair
 from teleop.people.felt import check_levels, compliance, felt_stiffness, limen, with_stiffness
 from teleop.people.plan import OF_TASK, ON_A_LOG_SCALE, UNITS, Design, Measure, StudyPlan
 from teleop.people.plan_file import read_plan
-from teleop.people.schedule import seconds_of, trials_of
-from teleop.people.session import check_modality
+from teleop.people.schedule import disk_of, seconds_of, trials_of
+from teleop.people.session import VISUAL, check_modality
 from teleop.people.simulated import Person, simulate_session
 from teleop.people.study import Study, check_lock, create_study, open_study, write_lock
 from teleop.simulation.result import versions
@@ -26,8 +26,6 @@ from teleop.terminal.answer import Answer, WithUnit, finite, with_units
 from teleop.terminal.plotting import asked_formats, save
 from teleop.terminal.progress import shown_for
 from teleop.terminal.table import columns, duration, facts
-
-BYTES_PER_SECOND = 280e3 / 2.6  # of a trial's record: hand, inputs and record, compressed
 
 
 def command(args: Namespace) -> Answer:
@@ -48,11 +46,12 @@ def check(args: Namespace) -> Answer:
     felt = felt_stiffness(plan)
     check_levels(plan, felt)
     minutes, most = seconds_of(plan) / 60.0, plan.participants.most
-    disk = trials_of(plan) * plan.task.intervals * plan.task.seconds * BYTES_PER_SECOND
+    disk = disk_of(plan)
     rows = plan.rows
     balance = (f"{plan.design.value}, {plan.order.value}: {number_of(rows, 'row')}, repeated "
                f"{number_of(plan.participants.least // rows, 'time')} by {plan.participants.least} people")
     power, power_text = _power(plan)
+    why = _pointer_refusal(plan)
     if args.lock:
         write_lock(path, plan, {"date": args.date, "versions": versions()})
     lines = [("study", f"{plan.name}: {plan.task.kind.value}, {number_of(len(plan.conditions), 'condition')} in "
@@ -60,16 +59,26 @@ def check(args: Namespace) -> Answer:
              ("balance", balance),
              ("a person", f"{trials_of(plan)} trials, {duration(60.0 * minutes)}, {disk / 1e6:.0f} MB on disk "
                           f"({disk * most / 1e9:.1f} GB for {most})"),
+             ("device", "a mouse or a haptic device" if why is None else f"no mouse: {why}"),
              ("power", power_text),
              ("lock", f"locked on {args.date}" if args.lock else "locked, and unchanged since" if is_locked else
               f"none: teleop study check {path} --lock registers the plan")]
     document = {**_head(args, plan, "the plan can be run"), "locked": bool(args.lock or is_locked), **with_units({
         "minutes": WithUnit(minutes, "min"), "disk": WithUnit(disk, "bytes"), "rows": rows, "trials": trials_of(plan),
-        "power": power, "felt": _felt_document(plan, felt)}, head={})}
+        "power": power, "pointer": why is None, "felt": _felt_document(plan, felt)}, head={})}
     text = facts(lines)
     if with_stiffness(plan):
         text += "\n\n" + _felt_table(plan, felt)
     return Answer(text, document)
+
+
+def _pointer_refusal(plan: StudyPlan) -> str | None:
+    """Why the plan cannot be run with a pointer; None if it can."""
+    try:
+        check_modality(plan, plan.analysis.primary, [VISUAL])
+    except Refused as refused:
+        return str(refused)
+    return None
 
 
 def _probability(plan: StudyPlan, felt: Mapping[float, float], level: float) -> float:
@@ -288,7 +297,7 @@ def unblind(args: Namespace) -> Answer:
 
 
 def rerun(args: Namespace) -> Answer:
-    """Run a trial's hand again under another law, in virtual time, with the trial's own knobs, interval by interval."""
+    """Run a trial's hand again under another law, in virtual time, with its own knobs; or show its own run."""
     from teleop.people.journal import NAME, of_kind, read_journal
     from teleop.people.schedule import Trial
     from teleop.people.study import intervals
@@ -313,6 +322,8 @@ def rerun(args: Namespace) -> Answer:
     if not all(record.is_dir() for record in records):
         raise Refused(f"trial {args.trial} has no record of a hand" + (": its person is simulated" if study.simulated
                       else "; it was removed") + ", so there is nothing to run again")
+    if args.law is None:
+        return _own_run(args, study, records)
     scenes = [load_scene(study.plan.scene, **{name: value for name, value in knobs.items() if not _is_of_law(name)
                                               and name != "duration"}, law=args.law, hand=str(record))
               for knobs, record in zip(intervals(study, trial), records, strict=True)]
@@ -329,10 +340,34 @@ def rerun(args: Namespace) -> Answer:
     return Answer("\n\n".join(texts), document).kept_in(new.path)
 
 
+def _own_run(args: Namespace, study: Study, records: Sequence[Path]) -> Answer:
+    """The files that the two ends of a trial left, which name its law."""
+    from teleop.people.trials.records import unpack
+    from teleop.storage.folder import new_folder
+
+    if not study.looks():
+        raise Refused(f"a trial's run names its law, and the study is blind; type teleop study unblind {study.folder} "
+                      "first")
+    with new_folder(args.out, f"{study.plan.name}-trial") as new:
+        for record in records:
+            unpack(record, new.inside / record.name)
+    text = facts([("trial", f"{args.trial}, as its two ends recorded it"),
+                  ("next", f"teleop report {new.path / records[0].name}")])
+    return Answer(text, {**_head(args, study.plan, f"trial {args.trial}"), "trial": args.trial}).kept_in(new.path)
+
+
 def _is_of_law(knob: str) -> bool:
     return knob.partition(".")[0] == "law"
 
 
+def run_session(args: Namespace) -> Answer:
+    """Carry out the session of a person, on a screen of their own."""
+    from teleop.people.trials.command import run
+
+    return run(args, lambda plan, sentence: _head(args, plan, sentence))
+
+
 ACTIONS: dict[str, Callable[[Namespace], Answer]] = {
     "check": check, "simulate": simulate, "analyse": analyse_command, "unblind": unblind, "rerun": rerun,
+    "run": run_session,
 }

@@ -98,6 +98,9 @@ class StudyCondition:
     knobs: Mapping[str, object]
 
 
+SHOWN = ("hand", "master", "slave", "wall")
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrialTask:
     """Work of a person in a trial, and what differs from trial to trial within a condition.
@@ -122,6 +125,7 @@ class TrialTask:
     widths: tuple[float, ...] = ()
     forces: tuple[float, ...] = ()
     text: str = ""  # the instruction that the participant reads; empty: the task's own
+    show: tuple[str, ...] = SHOWN  # what the participant sees of the robot
 
     @property
     def per_condition(self) -> int:

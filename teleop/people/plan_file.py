@@ -62,6 +62,7 @@ from typing import Any, TypeVar
 from teleop.errors import Refused, enumerated, nearest, number, number_of, whole_number
 from teleop.people.plan import (
     OF_TASK,
+    SHOWN,
     After,
     Analysis,
     Design,
@@ -242,9 +243,10 @@ def _task(table: object, where: str) -> TrialTask:
     if not isinstance(table, dict):
         raise Refused(f"{where}: task is a table; begin it with [task]")
     kind = _choice(TaskKind, table.get("kind"), "kind", at)
-    check_keys(table, ("kind", "seconds", "text", *_OF_KIND[kind]), at)
+    check_keys(table, ("kind", "seconds", "text", "show", *_OF_KIND[kind]), at)
     common: dict[str, Any] = {"kind": kind, "seconds": _number(table, "seconds", at, 2.6, low=0.2, high=600.0),
-              "text": _text(table, "text", at), "repeats": _whole(table, "repeats", at, 1, low=1, high=10_000)}
+              "text": _text(table, "text", at), "show": _visible(table.get("show", list(SHOWN)), at),
+              "repeats": _whole(table, "repeats", at, 1, low=1, high=10_000)}
     if kind is TaskKind.REACH:
         return TrialTask(**common, distances=_numbers(table, "distances", at), widths=_numbers(table, "widths", at))
     if kind is TaskKind.PRESS:
@@ -273,6 +275,13 @@ def _task(table: object, where: str) -> TrialTask:
     return TrialTask(**common, intervals=2, knob=_text(table, "knob", at) or "k_e", standard=standard, levels=levels,
                 method=method, trials=_whole(table, "trials", at, 40, low=2, high=10_000),
                 down=_whole(table, "down", at, 2, low=1, high=10))
+
+
+def _visible(names: object, at: str) -> tuple[str, ...]:
+    if not isinstance(names, list) or not all(name in SHOWN for name in names) or not {"hand", "master"} & {*names}:
+        raise Refused(f"{at}: show is a list of {enumerated(SHOWN)}, hand or master among them, not {names!r}; write "
+                      "show = [\"hand\", \"master\", \"slave\"]")
+    return tuple(names)
 
 
 def _questions(tables: object, where: str) -> tuple[StudyQuestion, ...]:

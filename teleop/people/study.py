@@ -96,9 +96,7 @@ class Study:
 
     def journal(self, participant: int, *, sync: bool = True) -> Journal:
         """Open the journal of a person, whose folder is made. Raises `Refused`."""
-        if not 1 <= participant <= self.plan.participants.most:
-            raise Refused(f"the plan has the participants 1 to {self.plan.participants.most}, not {participant}; write "
-                          "for example --participant 1")
+        check_participant(self.plan, participant)
         self.home(participant).mkdir(exist_ok=True)
         return Journal(self.home(participant) / NAME, sync=sync)
 
@@ -249,6 +247,13 @@ def check_lock(path: Path, plan: StudyPlan) -> bool:
         raise Refused(f"{path} was changed after it was locked on {locked['date']}; put it back, or register the "
                       f"change: remove {lock_path(path)}, and type teleop study check {path} --lock")
     return True
+
+
+def check_participant(plan: StudyPlan, participant: int) -> None:
+    """Refuse a number that no participant of the plan has."""
+    if not 1 <= participant <= plan.participants.most:
+        raise Refused(f"the plan has the participants 1 to {plan.participants.most}, not {participant}; write for "
+                      "example --participant 1")
 
 
 def lock_path(path: Path) -> Path:

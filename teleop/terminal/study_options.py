@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser
 
-from teleop.terminal.options import json_option, out_option, plot_option, whole
+from teleop.terminal.options import json_option, out_option, plot_option, realtime_option, whole
 
 
 def study_options(added: ArgumentParser) -> None:
@@ -35,13 +35,26 @@ def study_options(added: ArgumentParser) -> None:
                           "of them: bias, coverage, false alarms, power; writes nothing")
     simulate.add_argument("--out", metavar="DIR", help="the folder of the study, new or to be gone on with; default "
                           "runs/NAME-NUMBER")
+    run = plan("run", "Carry out a person's session in a browser: consent, trials, answers, questionnaires.")
+    run.add_argument("--participant", metavar="N", type=whole, required=True, help="the number of the person")
+    run.add_argument("--device", metavar="NAME", help="a haptic device in the person's hand, by its name (teleop "
+                     "list); left out: a mouse, a finger or keys, which render no force")
+    run.add_argument("--resume", action="store_true", help="go on with a session that was cut")
+    run.add_argument("--out", metavar="DIR", help="the folder of the study, new or to be gone on with; default "
+                     "runs/study-NAME")
+    run.add_argument("--port", metavar="N", type=whole, help="of the screen; left out: that of the last one if it is "
+                     "free")
+    run.add_argument("--open", action="store_true", help="open the screen in the browser")
+    run.add_argument("--lsl", action="store_true", help="send markers by Lab Streaming Layer (extra lsl)")
+    realtime_option(run)
     analyse = folder("analyse", "Analyse a study: table, fits, contrasts, effect sizes, and what was left out.")
     analyse.add_argument("--measure", metavar="NAME", help="another measure than the plan's primary one, which is "
                          "shown if left out")
     plot_option(analyse, "people.png")
     unblind = folder("unblind", "Show which letter is which condition, and write down who looked, and when.")
     unblind.add_argument("--name", metavar="WHO", help="who looks; left out: the user's name")
-    rerun = folder("rerun", "Run a trial's hand under another law, with the trial's own knobs.")
+    rerun = folder("rerun", "Run a trial's hand under another law, with the trial's knobs, once a study is unblinded.")
     rerun.add_argument("--trial", metavar="SUB/N", required=True, help="the trial, as sub-03/7")
-    rerun.add_argument("--law", metavar="LAW", required=True, help="the law, a name or FILE.py:CLASS")
+    rerun.add_argument("--law", metavar="LAW", help="the law, a name or FILE.py:CLASS; left out: the "
+                       "trial's own run, in the files of its two ends")
     out_option(rerun, "NAME-rerun")

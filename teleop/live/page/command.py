@@ -62,7 +62,7 @@ def command(args: Namespace) -> Answer:
     ticks_of(controls.first, args.rate, lockstep=False, spin=args.spin)
     ticking = ["--spin"] * args.spin + ([] if args.rate is None else ["--rate", repr(args.rate)])
     start = Start(args.scene, args.seed, args.realtime, ticking, args.robot)
-    port, token = _address(args.port)
+    port, token = page_address(args.port)
     requests = Requests(page_bytes(), token)
     with output.live(), Interrupt() as interrupt, fresh_folder(args.out, f"{stem(args.scene)}-page") as claimed:
         folder = claimed.path
@@ -70,12 +70,12 @@ def command(args: Namespace) -> Answer:
         page = Page(controls, parts, start, interrupt, time.monotonic, view)
         way = Path(mkstemp(suffix=".html")[1]) if args.open else None
         try:
-            with _before_others(wanted=args.realtime):
-                asyncio.run(page.run(requests, port, partial(_begun, token, way)))
+            with before_others(wanted=args.realtime):
+                asyncio.run(page.run(requests, port, partial(begin_page, token, way)))
         except OSError as error:
             if not parts.recorded:
                 raise
-            _say(f"the page has ended, for the system refused something ({error.strerror or error}); see to that and "
+            say(f"the page has ended, for the system refused something ({error.strerror or error}); see to that and "
                  "start it again")
         finally:
             if way is not None:
@@ -85,7 +85,7 @@ def command(args: Namespace) -> Answer:
         if not parts.recorded:
             raise KeyboardInterrupt
         passed = interrupt.count
-        results = parts.merge_all(args.scene, args.typed, _say, lambda: interrupt.count > passed)
+        results = parts.merge_all(args.scene, args.typed, say, lambda: interrupt.count > passed)
     lines = [f"{result.path.name}: {result.status}: {result.sentence}" for result in results if result.path is not None]
     sentence = f"{number_of(len(parts), 'part')}, {len(results)} put together"
     head = scene_head(controls.first, "page", sentence=sentence, seed=args.seed, command=args.typed)
@@ -94,7 +94,7 @@ def command(args: Namespace) -> Answer:
 
 
 @contextmanager
-def _before_others(*, wanted: bool) -> Iterator[None]:
+def before_others(*, wanted: bool) -> Iterator[None]:
     """Run at a higher priority than what else uses the machine, where the system allows it; children inherit it."""
     if not wanted or not hasattr(os, "setpriority"):
         yield
@@ -108,10 +108,16 @@ def _before_others(*, wanted: bool) -> Iterator[None]:
         os.setpriority(os.PRIO_PROCESS, 0, before)
 
 
-def page_bytes() -> bytes:
-    """Read `page.html` with its style and its scripts, each in the place of the name that stands for it there."""
-    page = (FOLDER / "page.html").read_text()
-    return re.sub(r"\{\{([a-z]+\.(?:css|js))\}\}", lambda name: (FOLDER / name[1]).read_text(), page).encode()
+def page_bytes(document: Path = FOLDER / "page.html") -> bytes:
+    """Read a document with its style and its scripts, each in the place of the name that stands for it there.
+
+    They lie beside it, or here.
+    """
+    def part(name: re.Match[str]) -> str:
+        beside = document.with_name(name[1])
+        return (beside if beside.is_file() else FOLDER / name[1]).read_text()
+
+    return re.sub(r"\{\{([a-z]+\.(?:css|js))\}\}", part, document.read_text()).encode()
 
 
 def _check(args: Namespace) -> None:
@@ -124,20 +130,25 @@ def _check(args: Namespace) -> None:
     if args.robot is not None and args.robot.partition(":")[0] != "mujoco":
         raise Refused(f"--page shows a simulated robot or a MuJoCo model, not --robot {args.robot[:40]}; type --robot "
                       "mujoco:FILE.xml, or leave it out")
-    if args.port is not None and args.port > LAST_PORT:
-        raise Refused(f"--port must be at most {LAST_PORT}, not {args.port}; leave it out for one that is free")
+    check_port(args.port)
 
 
-def _address(port: int | None) -> tuple[int, str]:
+def check_port(port: int | None) -> None:
+    """Refuse a port that there is not."""
+    if port is not None and port > LAST_PORT:
+        raise Refused(f"--port must be at most {LAST_PORT}, not {port}; leave it out for one that is free")
+
+
+def page_address(port: int | None, last_page: str = LAST) -> tuple[int, str]:
     """Port (0: any) and token of the page: those of the last page if it is less than a day ago and the port is free.
 
-    So a browser that shows a page comes back by itself when the page is started again.
+    So a browser that shows a page comes back by itself when the page is started again. `last_page`: the file of that.
     """
     with suppress(OSError, Refused, Misshapen):
-        path = lock_folder() / LAST
+        path = lock_folder() / last_page
         if time.time() - path.stat().st_mtime < LASTS:
             last = parse(read_bytes(path, most=LONGEST, links=False))
-            _LAST(last, LAST)
+            _LAST(last, last_page)
             if port in (None, 0, last["port"]) and _is_free(last["port"]):
                 return last["port"], last["token"]
     return port or 0, token_urlsafe(16)
@@ -153,9 +164,9 @@ def _is_free(port: int) -> bool:
     return True
 
 
-def _begun(token: str, way: Path | None, port: int) -> None:
+def begin_page(token: str, way: Path | None, port: int, last_page: str = LAST) -> None:
     """Note the address for the page that is started next, and show it."""
-    with suppress(OSError, Refused), replacing(lock_folder() / LAST) as file:
+    with suppress(OSError, Refused), replacing(lock_folder() / last_page) as file:
         os.fchmod(file.fileno(), 0o600)
         file.write(json.dumps({"port": port, "token": token}).encode())
     _listening(token, way, port)
@@ -168,7 +179,7 @@ def _listening(token: str, way: Path | None, port: int) -> None:
     which the token would stand.
     """
     address = f"http://{HOST}:{port}/?token={token}"
-    _say(f"page: {address}\non another machine type  ssh -L {port}:{HOST}:{port} {gethostname()}  there, and open the "
+    say(f"page: {address}\non another machine type  ssh -L {port}:{HOST}:{port} {gethostname()}  there, and open the "
          "same address; Ctrl-C here ends it")
     if way is not None:  # a process of its own: a browser in the terminal would wait for its keys, and be waited for
         way.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}"><title>teleop</title>\n')
@@ -176,5 +187,6 @@ def _listening(token: str, way: Path | None, port: int) -> None:
                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
 
 
-def _say(text: str) -> None:
+def say(text: str) -> None:
+    """Print a line for who started the page."""
     print(text, file=sys.stderr, flush=True)

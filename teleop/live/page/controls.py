@@ -207,14 +207,17 @@ class Controls:
         """Message that describes the scene of a choice to the page."""
         describe = import_bundled("channel.link").describe
         return {
-            "type": "hello", "scene": self.name, "axes": scene.axes, "dt": scene.dt, "laws": self.laws,
+            "type": "hello", "scene": self.name, "dt": scene.dt, "laws": self.laws,
             "law": law_name(scene.laws[0]), "gains": law_with_gains(parameters(scene)["law"]),
             "notes": untuned(scene), "sliders": [slider._asdict() for slider in self.sliders(choice)],
-            "wall": self._walls(scene)[0], "f_max": most_forces(scene)[0],
-            "span": max(self.spans), **self._axes(scene),
+            "f_max": most_forces(scene)[0], **self.stage(scene), **self._axes(scene),
             "link": "no link" if scene.link is None else describe(scene.link), "words": self.words(choice, scene),
             "energy": None if not scene.energy else "link" if scene.has_waves else "ports",
         }
+
+    def stage(self, scene: Scene) -> dict[str, Any]:
+        """Describe what is seen before anything moves: axes, the first one's wall, and the span to show."""
+        return {"axes": scene.axes, "wall": self._walls(scene)[0], "span": max(self.spans)}
 
     @cached_property
     def _paths(self) -> Sequence[Sequence[float]]:

@@ -13,14 +13,8 @@ function frame(now) {
   requestAnimationFrame(frame);
 }
 function size() {
-  R = Math.min(2, devicePixelRatio || 1);
-  for (const canvas of document.querySelectorAll("canvas")) {
-    const box = canvas.getBoundingClientRect(), w = Math.max(1, Math.round(box.width * R)), h = Math.max(1, Math.round(box.height * R));
-    if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
-    if (canvas === stage) { W = box.width; H = box.height; }
-  }
+  fit();
   for (const one of strips) one.whole = true;
-  dirty = true;
 }
 new ResizeObserver(size).observe(document.querySelector("main"));
 dark.onchange = colours;

@@ -1,33 +1,13 @@
-"use strict";
-const $ = id => document.getElementById(id), stage = $("stage"), g = stage.getContext("2d");
-document.body.className = "";
 const SLOW = 8, SHOWN = 10, KEPT = 18e3, LANE = 7, EVERY = .08;  // packets' slowness; s of strips; rows; px between the ways; s between packets drawn
-const dark = matchMedia("(prefers-color-scheme: dark)"), still = matchMedia("(prefers-reduced-motion: reduce)");
-let hello = null, row = null, rows = [], lost = null, status = {}, socket = null, tries = 0, was = false, dirty = true;
-let heardAt = 0, lookedAt = 0, mute = false;  // when the server said something, when that was looked at; it stands still
-let C = {}, W = 0, H = 0, R = 1, view = {c: 0, span: .12}, dots = [], owed = 0, shown = {m: 0, s: 0}, frames = 0;
-const num = v => Array.isArray(v) ? v[0] : v, clip = (v, lo, hi) => Math.min(hi, Math.max(lo, v));
-const fixed = (v, n) => (Math.abs(v) < .5 * 10 ** -n ? 0 : v).toFixed(n).replace("-", "\u2212");
 const bytes = n => { const k = n >= 1e9 ? 3 : n >= 1e6 ? 2 : 1; return +(n / 1e3 ** k).toPrecision(3) + " " + ["kB", "MB", "GB"][k - 1]; };
-const ms = s => s == null ? "\u2013" : fixed(s * 1e3, s >= 5e-5 && s < .00995 ? 1 : 0) + " ms", pc = v => v == null ? "\u2013" : fixed(v * 100, v < .0995 && v >= 5e-4 ? 1 : 0) + " %";
-
+let rows = [], status = {};
+const HELLO = "The demo runs again, and this page shows it.", ENDED = "Start it again with `teleop demo --page`, and this page comes back by itself.";
+const finished = () => false, dropped = () => { drag = null; target = null; clutch = false; pressed(false); };
 function colours() {
-  const css = getComputedStyle(document.documentElement);
-  for (const name of ["card", "ink", "soft", "line", "rail", "master", "slave", "wall", "bad"]) C[name] = css.getPropertyValue("--" + name).trim();
+  palette();
   for (const one of strips) one.whole = true;
   dirty = true;
 }
-function say(level, text) {
-  const at = $("said");
-  at.className = level;
-  at.textContent = (level === "info" ? "" : "\u26A0 ") + text;
-}
-function sent(message) {
-  if (!socket || socket.readyState !== 1) return false;
-  socket.send(JSON.stringify(message));
-  return true;
-}
-
 /* -- the server --------------------------------------------------------------------------------------------------- */
 const heard = {
   hello(m) {
@@ -125,59 +105,6 @@ function take(r) {
   if (far > .5 * view.span && far < 10) { while (far > .5 * view.span) view.span *= 1.25; for (const one of strips) one.whole = true; }
   dirty = true;
 }
-function connection(text) {
-  const open = socket && socket.readyState === 1;
-  $("conn").className = open && !lost && !mute ? "" : "lost";
-  $("conn").textContent = text || (mute ? "no answer" : lost ? lost + " is lost" : open ? "connected" : "connecting");
-}
-function listen() {  // a server that stands still, or a cut way to it, closes no socket: it says something four times a second, or is missed
-  const now = performance.now();
-  if (now - lookedAt > 1500) heardAt = now;  // it is this page that was asleep
-  lookedAt = now;
-  const silent = !!hello && !!socket && socket.readyState === 1 && now - heardAt > 2e3;  // a first greeting may take long
-  if (silent === mute) return;
-  mute = silent;
-  connection();
-  dirty = true;
-  if (mute) say("error", "The server does not answer: it hangs, or the connection is cut. The page shows what came last.");
-  else say("info", "The server answers again.");
-}
-const hex = bytes => [...new Uint8Array(bytes)].map(byte => byte.toString(16).padStart(2, "0")).join("");
-async function proven() {  // whoever listens at the port by now is sent the token only after a proof that it has it
-  const text = new TextEncoder(), hmac = {name: "HMAC", hash: "SHA-256"}, nonce = hex(crypto.getRandomValues(new Uint8Array(16)));
-  const token = text.encode(new URLSearchParams(location.search).get("token"));
-  const answer = await fetch("/proof?nonce=" + nonce, {signal: AbortSignal.timeout(4e3)});
-  const key = await crypto.subtle.importKey("raw", token, hmac, false, ["sign"]);
-  return await answer.text() === hex(await crypto.subtle.sign("HMAC", key, text.encode("proof " + nonce)));
-}
-async function connect() {
-  if ((was || tries) && !await proven().catch(() => false)) return closed("");
-  const url = (location.protocol === "https:" ? "wss://" : "ws://") + location.host + "/ws" + location.search;
-  socket = new WebSocket(url);
-  socket.onopen = () => {
-    tries = 0;
-    heardAt = performance.now();
-    lost = null;
-    connection();
-    if (was) say("info", "The demo runs again, and this page shows it.");
-    was = true;
-  };
-  socket.onmessage = event => {
-    heardAt = performance.now();
-    const m = JSON.parse(event.data);
-    if (heard[m.type]) heard[m.type](m);
-  };
-  socket.onclose = event => closed(event.reason);
-}
-function closed(reason) {
-  const wait = Math.min(4, .5 * 2 ** tries++);
-  drag = null; target = null; clutch = mute = false; pressed(false);
-  connection(`not connected, next try in ${wait} s`);
-  if (was || tries === 2 || reason) say("error", reason || "The server does not answer: it has ended, or the connection is cut. " +
-    "Start it again with `teleop demo --page`, and this page comes back by itself.");
-  dirty = true;
-  setTimeout(connect, wait * 1e3);
-}
 
 /* -- law, link, buttons ------------------------------------------------------------------------------------------- */
 function laws(m) {
@@ -254,68 +181,11 @@ $("policy").onclick = () => { letGo(); sent({type: "policy", takes: $("policy").
 $("again").onclick = again;
 $("go").onclick = letGo;
 
-/* -- the hand ----------------------------------------------------------------------------------------------------- */
-let drag = null, target = null, due = false, lastSent = 0, lastMoved = 0, lastTurn = 0, pad = false;
-function base() {  // where the hand's reference is: what was asked for just now, or what the server shows
-  return target || (row ? row.hand || row.xm : null);
-}
-const far = to => row && (!row.hand || Math.hypot(...to.map((x, i) => x - row.hand[i])) > .03 * view.span);
-function steer(to) {
-  const reach = .6 * view.span;
-  target = to.map((x, i) => clip(x, (i ? 0 : view.c) - reach, (i ? 0 : view.c) + reach));
-  due = true;
-  lastMoved = performance.now();
-  $("invite").hidden = true;
-}
-function flush(now) {  // at most 60 a second; at least 4 as long as this page holds the hand, so that a page that is gone is missed
-  if (target && !drag && far(target) && now - Math.max(lastMoved, lastTurn) > 5e3) target = null;  // another page has the hand
-  if (target && hello && ((due && now - lastSent > 16.6) || now - lastSent > 240)) {
-    if (sent({type: "hand", to: ofAll(target)})) { due = false; lastSent = now; }
-  }
-}
+/* -- keys ---------------------------------------------------------------------------------------------------------- */
 function again() {
   letGo();
   sent({type: "again"});
 }
-function letGo() {
-  drag = null;
-  target = null;
-  due = false;
-  stage.classList.remove("drag");
-  sent({type: "hand", to: null});
-}
-stage.onpointerdown = event => {
-  if (drag || !row || event.button > 0) return;
-  stage.setPointerCapture(event.pointerId);
-  drag = {id: event.pointerId, x: event.clientX, y: event.clientY, from: base().slice(), scale: place().scale};
-  stage.classList.add("drag");
-};
-stage.onpointermove = event => {
-  if (!drag || event.pointerId !== drag.id) return;
-  const by = [(event.clientX - drag.x) / drag.scale, (drag.y - event.clientY) / drag.scale];
-  if (drag.moved || Math.hypot(event.clientX - drag.x, event.clientY - drag.y) > 2) {
-    drag.moved = true;
-    steer(drag.from.map((x, i) => i < 2 ? x + by[i] : x));
-  }
-};
-stage.onpointerup = stage.onpointercancel = stage.onlostpointercapture = event => {
-  if (!drag || event.pointerId !== drag.id) return;
-  drag = null;
-  stage.classList.remove("drag");
-};
-stage.ondblclick = letGo;  // a pointer that goes up alone leaves the reference where it is, so that a pressed wall stays felt
-stage.addEventListener("wheel", event => {
-  if (!hello || hello.axes < 3 || !base()) return;
-  event.preventDefault();
-  third(-event.deltaY * view.span / 3e3);
-}, {passive: false});
-function third(by) {
-  const to = base().slice();
-  to[2] += by;
-  steer(to);
-  if (drag) drag.from[2] = to[2];
-}
-const ARROWS = {ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowDown: [1, -1], ArrowUp: [1, 1], PageDown: [2, -1], PageUp: [2, 1]};
 onkeydown = event => {
   const at = event.target, free = at === stage || at === document.body;
   if (event.ctrlKey || event.metaKey || event.altKey) return;
@@ -327,13 +197,7 @@ onkeydown = event => {
   } else if ((event.key === "r" || event.key === "R") && !event.repeat) again();
   else if ((event.key === "p" || event.key === "P") && !event.repeat) $("pause").click();
   else if ((event.key === "t" || event.key === "T") && !event.repeat && !$("policy").hidden) $("policy").click();
-  else if (free && ARROWS[event.key] && base()) {
-    const [axis, way] = ARROWS[event.key], to = base().slice();
-    if (axis >= to.length) return;
-    event.preventDefault();
-    to[axis] += way * view.span / (event.shiftKey ? 600 : 60);
-    steer(to);
-  }
+  else if (free) nudge(event);
 };
 onkeyup = event => { if ("cC Enter".includes(event.key)) setClutch(false); };
 onblur = () => setClutch(false);

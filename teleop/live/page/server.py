@@ -61,7 +61,7 @@ class Requests:
         host = headers.get("Host", "")
         if not _HOST.fullmatch(host):
             return _sentence(HTTPStatus.FORBIDDEN, "this page is for this machine alone; open the address that "
-                                                   "`teleop demo --page` printed, from elsewhere through ssh -L")
+                                                   "was printed, from elsewhere through ssh -L")
         try:
             url = urlsplit(target)
             query = parse_qs(url.query, max_num_fields=10)
@@ -74,7 +74,7 @@ class Requests:
             return _sentence(HTTPStatus.NOT_FOUND, "there is nothing here but the page; open the address printed")
         if not compare_digest(token.encode(errors="surrogatepass"), self._token):
             return _sentence(HTTPStatus.FORBIDDEN, "the token is missing, or of another run; open the whole address "
-                                                   "that `teleop demo --page` printed")
+                                                   "that was printed")
         if url.path == "/":
             return HttpResponse(HTTPStatus.OK, self._headers(host), self._page)
         if headers.get("Origin") != f"http://{host}":
@@ -116,15 +116,22 @@ LONGEST = 4096  # bytes of a message
 REACH = 10.0  # m from 0, in each axis: `master.steered` goes no further
 SLIDERS = ("delay", "jitter", "loss", "k_e")
 
-_SHAPES: dict[str, dict[str, Check]] = {
-    "hand": {"to": optional(list_of(real, most=MOST_AXES))},
-    "turn": {"law": text, **dict.fromkeys(SLIDERS, real)},
-    "clutch": {"open": truth},
-    "scale": {"to": real},
-    "policy": {"takes": truth},
-    "again": {},
+class MessageShape(NamedTuple):
+    """Shape of a page's message: its fields, and those that it must have."""
+
+    fields: Mapping[str, Check] = {}
+    needed: Sequence[str] = ()
+
+
+HAND = MessageShape({"to": optional(list_of(real, most=MOST_AXES))}, ("to",))
+SHAPES = {
+    "hand": HAND,
+    "turn": MessageShape({"law": text, **dict.fromkeys(SLIDERS, real)}),
+    "clutch": MessageShape({"open": truth}, ("open",)),
+    "scale": MessageShape({"to": real}, ("to",)),
+    "policy": MessageShape({"takes": truth}, ("takes",)),
+    "again": MessageShape(),
 }
-_NEEDED = {"hand": ("to",), "turn": (), "clutch": ("open",), "scale": ("to",), "policy": ("takes",), "again": ()}
 
 
 class Garbage(Misshapen):
@@ -135,8 +142,8 @@ class Garbage(Misshapen):
         self.kind = kind
 
 
-def read(data: str | bytes) -> dict[str, Any]:
-    """Read the message in `data`. Raises `Garbage`."""
+def read(data: str | bytes, shapes: Mapping[str, MessageShape] = SHAPES) -> dict[str, Any]:
+    """Read the message in `data`, of one of these shapes by its type. Raises `Garbage`."""
     if isinstance(data, bytes):
         raise Garbage("binary", "a message is a text in JSON, not bytes")
     try:
@@ -144,14 +151,14 @@ def read(data: str | bytes) -> dict[str, Any]:
     except Misshapen as error:
         raise Garbage("json", f"a message is an object in JSON: {error}") from None
     kind = message.get("type") if isinstance(message, dict) else None
-    if not isinstance(kind, str) or kind not in _SHAPES:
-        raise Garbage("type", f"a message has a type, one of {', '.join(_SHAPES)}")
-    shape = _SHAPES[kind]
+    if not isinstance(kind, str) or kind not in shapes:
+        raise Garbage("type", f"a message has a type, one of {', '.join(shapes)}")
+    shape, needed = shapes[kind]
     unknown = next((key for key in message if key != "type" and key not in shape), None)
     if unknown is not None:
         raise Garbage(kind, f"a message {kind!r} has no {unknown[:40]!r}; it may have: {', '.join(shape) or 'nothing'}")
     try:
-        record({key: shape[key] for key in _NEEDED[kind]}, shape)(message, "the message")
+        record({key: shape[key] for key in needed}, shape)(message, "the message")
     except Misshapen as error:
         raise Garbage(kind, str(error)) from None
     return message  # type: ignore[no-any-return]  # an object, as its shape says
@@ -311,11 +318,14 @@ class Clients:
 
     A message to all pages is made once. A page that reads too slowly loses pictures, never the others; its backlog is
     bounded. One that sends too much, or nonsense, is warned, and then closed. A connection without the token is one of
-    at most `STRANGERS`, and for `STRANGE` seconds.
+    at most `STRANGERS`, and for `STRANGE` seconds. `shapes`: of the messages of a page, each of at most `longest`
+    bytes; `most`: pages at once.
     """
 
-    def __init__(self, requests: Requests, host: Host, now: Callable[[], float]) -> None:
+    def __init__(self, requests: Requests, host: Host, now: Callable[[], float], *,
+                 shapes: Mapping[str, MessageShape] = SHAPES, longest: int = LONGEST, most: int = PAGES) -> None:
         self._requests, self._host, self.now = requests, host, now
+        self._shapes, self._longest, self._most = shapes, longest, most
         self._server: Server | None = None
         self._pages: set[PageConnection] = set()
         self._strangers: dict[PageConnection, None] = {}  # oldest first
@@ -348,7 +358,7 @@ class Clients:
         connection = type("PageConnection", (PageConnection,), {"clients": self})
         try:
             self._server = await serve(
-                self._open, HOST, port, process_request=self._request, compression=None, max_size=LONGEST,
+                self._open, HOST, port, process_request=self._request, compression=None, max_size=self._longest,
                 max_queue=16, write_limit=BEHIND, open_timeout=STRANGE, close_timeout=LEAVE, ping_interval=10.0,
                 ping_timeout=10.0, server_header=None, logger=quiet, create_connection=connection, backlog=ACCEPTED)
         except (OSError, OverflowError) as error:
@@ -391,8 +401,8 @@ class Clients:
     async def _open(self, page: ServerConnection) -> None:
         assert isinstance(page, PageConnection)
         self.forget(page)
-        if len(self._pages) >= PAGES:
-            await page.close(FULL, f"{PAGES} pages are open already; close one of them")
+        if len(self._pages) >= self._most:
+            await page.close(FULL, f"{number_of(self._most, 'page is', 'pages are')} open already; close one of them")
             return
         try:
             for text in self._host.greeting():
@@ -418,7 +428,7 @@ class Clients:
                 await asyncio.sleep(SLOWER)
                 continue
             try:
-                self._host.hear(page, read(data))
+                self._host.hear(page, read(data, self._shapes))
             except Garbage as garbage:
                 if allowed.garbage(garbage.kind):
                     self._tell(page, sentence_message("error", f"not understood: {garbage}"))

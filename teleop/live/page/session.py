@@ -29,7 +29,8 @@ LEAVE = 5.0  # s for a process to leave in order, before it is killed
 class Start(NamedTuple):
     """Options for starting the three processes.
 
-    `ticking`: of the ends alone; `robot`: a MuJoCo model in place of the simulated slave; `program`: see `Child.start`.
+    `ticking`: of the ends alone; `robot`: a MuJoCo model in place of the simulated slave; `program`: see `Child.start`;
+    `device`: a device by its name in place of the simulated master.
     """
 
     scene: str
@@ -38,6 +39,7 @@ class Start(NamedTuple):
     ticking: Sequence[str] = ()
     robot: str | None = None
     program: Sequence[str] = ()
+    device: str | None = None
 
 
 class Children:
@@ -68,7 +70,8 @@ class Children:
             self._ports["slave"] = await slave.port()
             await self.start_channel(knobs, port=0)
             to = f"127.0.0.1:{self._ports['channel']}"
-            await self._start("master", knobs, "--peer", to, "--out", str(folders["m"]), *options)
+            device = [] if self._options.device is None else ["--device", self._options.device]
+            await self._start("master", knobs, "--peer", to, "--out", str(folders["m"]), *options, *device)
         except BaseException:
             await self.stop()
             raise

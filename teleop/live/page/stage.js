@@ -128,8 +128,8 @@ function linkAndPackets(a, b, dt) {
 function wall(p, force) {
   if (hello.wall == null) return;
   const flat = hello.axes > 1, s = p.s, x = s.ox + hello.wall * p.scale, top = flat ? H / 2 - p.side / 2 : s.oy - 62, bottom = flat ? H / 2 + p.side / 2 : s.oy + 50;
-  const right = flat ? s.ox + (view.c + view.span / 2) * p.scale : W, y = put(p, s, row.xs)[1], depth = Math.max(0, (row.xs[0] - hello.wall) * p.scale);
-  const mx = p.m.ox + hello.wall * p.scale, load = clip(Math.abs(force) / (.5 * (hello.f_max || 20)), 0, 1);
+  const right = flat ? s.ox + (view.c + view.span / 2) * p.scale : W, xs = row.xs || [hello.wall, 0], y = put(p, s, xs)[1], depth = Math.max(0, (xs[0] - hello.wall) * p.scale);
+  const mx = p.m.ox + hello.wall * p.scale, load = clip(Math.abs(force || 0) / (.5 * (hello.f_max || 20)), 0, 1);
   g.beginPath();
   g.moveTo(right, top);
   g.lineTo(x, top);
@@ -169,13 +169,38 @@ function wall(p, force) {
   g.setLineDash([]);
   label("wall", Math.min(right - 34, x + 12), bottom - 9, C.wall, "left", true);
 }
+function forces(m, s, fe, flat, dt) {
+  shown.m += clip(dt * 6, 0, 1) * (Math.hypot(...row.fm) - shown.m);
+  shown.s += clip(dt * 6, 0, 1) * (Math.hypot(...fe) - shown.s);
+  const lo = num(row.fm_lo), hi = num(row.fm_hi);
+  arrow(m[0], flat ? m[1] : m[1] - 42, -row.fm[0], flat ? -row.fm[1] : 0, C.master, fixed(shown.m, 1) + newton(), lo == null ? null : -hi, -lo);
+  arrow(flat ? s[0] : s[0] - 50, s[1], -fe[0], flat ? -fe[1] : 0, C.slave, fixed(shown.s, 1) + newton());
+}
+function ruler(p) {
+  const unit = [.001, .002, .005, .01, .02, .05, .1, .2, .5, 1, 2, 5].find(u => u * p.scale > 60) || 10;
+  for (let k = Math.ceil((view.c - view.span / 2) / unit); k * unit <= view.c + view.span / 2; k++) {
+    const x = p.s.ox + k * unit * p.scale;
+    line(C.rail, 1, [x, H - 22], [x, H - 27]);
+    text(fixed(k * unit * 1e3, 0) + (k === 0 ? ` m${metre()}` : ""), x, H - 7, C.soft, "center");
+  }
+}
+function goal(p) {  // where the slave is to be brought, or how far the hand is to pull the master's spring
+  const {at, width, of} = hello.target, rail = of === "hand" ? p.m : p.s, from = of === "hand" ? (row.xm || row.hand)[0] : 0;
+  const [x, w] = [rail.ox + (from + at) * p.scale, Math.max(4, width * p.scale)], top = hello.axes > 1 ? H / 2 - p.side / 2 : rail.oy - 34;
+  g.globalAlpha = .3;
+  g.fillStyle = C.wall;
+  g.fillRect(x - w / 2, top, w, hello.axes > 1 ? p.side : 68);
+  g.globalAlpha = 1;
+  line(C.wall, 2, [x - w / 2, top], [x - w / 2, top + (hello.axes > 1 ? p.side : 68)]);
+  line(C.wall, 2, [x + w / 2, top], [x + w / 2, top + (hello.axes > 1 ? p.side : 68)]);
+}
 function draw(dt) {
   g.setTransform(R, 0, 0, R, 0, 0);
   g.clearRect(0, 0, W, H);
   if (!hello || !row) return text(socket ? "waiting for the first tick" : "", W / 2, H / 2, C.soft, "center");
-  const p = place(), flat = hello.axes > 1, m = put(p, p.m, row.xm), s = put(p, p.s, row.xs), fe = row.fe || row.fs;
+  const p = place(), flat = hello.axes > 1, m = put(p, p.m, row.xm || row.hand), s = row.xs && put(p, p.s, row.xs), fe = row.fe || row.fs, names = hello.words || ["master", "slave"];
   g.lineCap = g.lineJoin = "round";
-  if (flat) for (const [at, name, colour] of [[p.m, "master", C.master], [p.s, "slave", C.slave]]) {
+  if (flat) for (const [at, name, colour] of [[p.m, names[0], C.master], [p.s, names[1], C.slave]]) {
     const x = at.ox + (view.c - view.span / 2) * p.scale, y = H / 2 - p.side / 2;
     g.strokeStyle = C.line;
     g.lineWidth = 1;
@@ -187,25 +212,22 @@ function draw(dt) {
       if (master && row.hand) line(C.ink, 2, [gx - 6, z(row.hand[2])], [gx + 6, z(row.hand[2])]);
       g.fillStyle = colour;
       g.beginPath();
-      g.arc(gx, z(master ? row.xm[2] : row.xs[2]), 5, 0, 7);
+      g.arc(gx, z(((master ? row.xm : row.xs) || [0, 0, 0])[2]), 5, 0, 7);
       g.fill();
     }
   } else {
     line(C.rail, 2, [16, p.m.oy], [W - 16, p.m.oy]);
     line(C.rail, 2, [16, p.s.oy + 17], [W - 16, p.s.oy + 17]);
-    label("master", 16, p.m.oy - 52, C.master, "left", true);
-    label("slave", 16, p.s.oy - 26, C.slave, "left", true);
-    const unit = [.001, .002, .005, .01, .02, .05, .1, .2, .5, 1, 2, 5].find(u => u * p.scale > 60) || 10;
-    for (let k = Math.ceil((view.c - view.span / 2) / unit); k * unit <= view.c + view.span / 2; k++) {
-      const x = p.s.ox + k * unit * p.scale;
-      line(C.rail, 1, [x, H - 22], [x, H - 27]);
-      text(fixed(k * unit * 1e3, 0) + (k === 0 ? ` m${metre()}` : ""), x, H - 7, C.soft, "center");
-    }
+    label(names[0], 16, p.m.oy - 52, C.master, "left", true);
+    label(names[1], 16, p.s.oy - 26, C.slave, "left", true);
+    if (hello.ruler !== false) ruler(p);
   }
   const half = flat ? 11 : 26;
-  bodies.push([m[0] - 11, m[1] - half, m[0] + 11, m[1] + half], [s[0] - (flat ? 10 : 48), s[1] - 17, s[0] + (flat ? 10 : 0), s[1] + 17]);
+  bodies.push([m[0] - 11, m[1] - half, m[0] + 11, m[1] + half]);
+  if (s) bodies.push([s[0] - (flat ? 10 : 48), s[1] - 17, s[0] + (flat ? 10 : 0), s[1] + 17]);
   wall(p, num(fe));
-  linkAndPackets(flat ? m : [m[0], m[1] + 26], flat ? s : [s[0] - 28, s[1] - 17], dt);
+  if (hello.target) goal(p);
+  if (row.age) linkAndPackets(flat ? m : [m[0], m[1] + 26], flat ? s : [s[0] - 28, s[1] - 17], dt);
   // The hand: where it wants the handle to be, and by how much the handle lags.
   if (row.hand) {
     const h = put(p, p.m, row.hand);
@@ -222,25 +244,24 @@ function draw(dt) {
   }
   g.fillStyle = C.master;
   g.beginPath();
-  if (flat) g.arc(m[0], m[1], 11, 0, 7); else g.roundRect(m[0] - 7, m[1] - 26, 14, 52, 7);
+  if (!row.xm) ;
+  else if (flat) g.arc(m[0], m[1], 11, 0, 7);
+  else g.roundRect(m[0] - 7, m[1] - 26, 14, 52, 7);
   g.fill();
   g.fillStyle = C.slave;
   g.beginPath();
-  if (flat) g.roundRect(s[0] - 10, s[1] - 10, 20, 20, 4);
+  if (!s) ;
+  else if (flat) g.roundRect(s[0] - 10, s[1] - 10, 20, 20, 4);
   else {
     g.roundRect(s[0] - 48, s[1] - 17, 38, 34, 6);
     g.rect(s[0] - 11, s[1] - 3, 8, 6);
     g.roundRect(s[0] - 8, s[1] - 8, 8, 16, 4);
   }
   g.fill();
-  shown.m += clip(dt * 6, 0, 1) * (Math.hypot(...row.fm) - shown.m);
-  shown.s += clip(dt * 6, 0, 1) * (Math.hypot(...fe) - shown.s);
-  const lo = num(row.fm_lo), hi = num(row.fm_hi);
-  arrow(m[0], flat ? m[1] : m[1] - 42, -row.fm[0], flat ? -row.fm[1] : 0, C.master, fixed(shown.m, 1) + newton(), lo == null ? null : -hi, -lo);
-  arrow(flat ? s[0] : s[0] - 50, s[1], -fe[0], flat ? -fe[1] : 0, C.slave, fixed(shown.s, 1) + newton());
+  if (row.fm) forces(m, s, fe, flat, dt);
   invite(p);
   drawLabels();
-  drawArm();
+  if ($("arm")) drawArm();
 }
 
 /* -- the robot from the side, by the outlines of its model ----------------------------------------------------------- */

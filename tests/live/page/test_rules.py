@@ -296,22 +296,22 @@ def test_a_page_that_is_started_again_has_the_port_and_the_token_of_the_last_one
     """A browser that showed the page before it was started again had to be shown the new address."""
     tmp_path.chmod(0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    port, token = command._address(None)
+    port, token = command.page_address(None)
     assert (port, len(token)) == (0, 22)
     with socket() as free:
         free.bind((HOST, 0))
         port = free.getsockname()[1]
-        command._begun("secret", None, port)
-        assert command._address(None) != (port, "secret"), "the port is taken"
+        command.begin_page("secret", None, port)
+        assert command.page_address(None) != (port, "secret"), "the port is taken"
     file, = tmp_path.rglob("page.json")
     assert [stat.S_IMODE(each.stat().st_mode) for each in (file.parent, file)] == [0o700, 0o600]
-    assert command._address(None) == command._address(port) == (port, "secret")
-    assert command._address(port + 1)[1] != "secret"
+    assert command.page_address(None) == command.page_address(port) == (port, "secret")
+    assert command.page_address(port + 1)[1] != "secret"
     os.utime(file, (0.0, 0.0))
-    assert command._address(None)[1] != "secret"
+    assert command.page_address(None)[1] != "secret"
     for damaged in ("", "{", '{"port": 0, "token": "secret"}', '{"port": 80}', "x" * 5000):
         file.write_text(damaged)
-        assert command._address(None)[0] == 0, damaged
+        assert command.page_address(None)[0] == 0, damaged
 
 
 def test_the_page_runs_before_other_work_where_the_system_allows_it_and_gives_that_back(
@@ -331,6 +331,6 @@ def test_the_page_runs_before_other_work_where_the_system_allows_it_and_gives_th
     for system, wanted, given in ((allow, True, [before - 10, before]), (refuse, True, []), (allow, False, [])):
         asked.clear()
         monkeypatch.setattr(os, "setpriority", system)
-        with command._before_others(wanted=wanted):
+        with command.before_others(wanted=wanted):
             pass
         assert asked == given
