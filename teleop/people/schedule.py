@@ -170,12 +170,14 @@ def seconds_of(plan: StudyPlan) -> float:
             + behind[After.SESSION] + WELCOME)
 
 
-BYTES_PER_SECOND = 280e3 / 2.6  # of a trial's record: hand, inputs and record, compressed
+BYTES_PER_SECOND = 280e3 / 2.6  # of a trial's record while the hand moves: hand, inputs and record, compressed
+AT_REST = 25e3  # of the turn before it
 
 
 def disk_of(plan: StudyPlan) -> float:
     """Size of the records of a person, bytes."""
-    return trials_of(plan) * plan.task.intervals * (plan.task.seconds + plan.turn) * BYTES_PER_SECOND
+    of_interval = plan.task.seconds * BYTES_PER_SECOND + plan.turn * AT_REST
+    return trials_of(plan) * plan.task.intervals * of_interval
 
 
 ANSWER, WELCOME = 2.0, 180.0  # s, that a person takes for an answer; for consent and instructions

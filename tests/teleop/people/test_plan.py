@@ -53,7 +53,7 @@ WRONG = {  # what is written in place of what, and the sentence
         " other side",
     ("repeats = 4", "distances = [0.1]"):
         "plan.toml [task] has no key 'distances'; there are: down, kind, knob, levels, method, repeats, seconds, "
-        "standard, text, trials",
+        "show, standard, text, trials",
     ('items = ["Anything else?"]', ""):
         '[[question]] 2 of plan.toml has no items; write for example items = ["How hard was it to feel the '
         'wall?"]',

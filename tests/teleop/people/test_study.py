@@ -49,7 +49,7 @@ def answer(capsys: Capture, *words: str) -> dict[str, Any]:
 
 def test_check_shows_what_each_law_lets_through_and_what_a_session_costs(here: Path, capsys: Capture) -> None:
     text = typed(capsys, "check", "plan.toml")
-    for words in ("within, williams: 2 rows, repeated 2 times by 4 people", "28 trials", "15 min", "16 MB on disk",
+    for words in ("within, williams: 2 rows, repeated 2 times by 4 people", "28 trials", "15 min", "18 MB on disk",
                   "+61.9%  -32.1%", "333.3 N/m", "none: teleop study check plan.toml --lock registers the plan"):
         assert words in text, words
     document = answer(capsys, "check", "plan.toml")
