@@ -172,7 +172,7 @@ def test_the_policys_work_is_paid_for_and_the_laws_ledger_holds_whatever_policy_
             scene = replace(scene, handover=replace(scene.handover, motor=False))  # type: ignore[type-var]
         margin, ledger, work = margins(scene)
         assert margin >= -1e-12, seed
-        # With the clutch's transformer a ramp of one tick, and ticks left out, cost up to 2 mJ: see the stage's head.
+        # Where the policy moves the law's end, ticks left out cost up to 2 mJ: see the stage's head.
         assert ledger >= (-1e-9 if seed >= 0 else -5e-3), seed
         worked += work > 0.5 * scene.handover.energy  # type: ignore[union-attr]
     assert worked >= 3  # they do press the tank
