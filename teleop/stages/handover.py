@@ -40,8 +40,8 @@ transformer such as the operator's clutch, with a second motion,
 with a and f_law of the tick before, in which the motion was made. p = sigma a w is the policy's velocity, w that of the
 filter above from x_law on, and dx_p(k) = dt (p(k-1) + p(k))/2: a law that answers b p(k-1) until the next tick then
 takes in b dt/2 sum of p(k-1)^2 + p(k-1) p(k) >= 0 of it, however the policy leaps. (With the filter's own way it
-does not: a wave gave out 10 J in trials.) Here a takes 20 ticks at least, for a switch that goes over within a tick, back
-and forth, cost a wave 0.25 J; with 20 the least of E_port over 400 random scenes was -1.9 mJ, with ticks left out.
+does not: a wave gave out 10 J in trials.) Here a takes 20 ticks at least, for a switch that goes over within a tick,
+back and forth, cost a wave 0.25 J; with 20 the least of E_port over 400 random scenes was -1.9 mJ, with ticks left out.
 
 The work at the law's port is that at the device's and that of the policy, f_law dx_law = F dx + f_law dx_p, and the sum
 of max(f_law dx_p, 0) is paid from the same tank. The promise is the same but for the work of one tick more, in which
