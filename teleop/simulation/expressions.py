@@ -158,6 +158,7 @@ class Expressions(Evaluator[Value]):
         self.fields: dict[str, tuple[int, str]] = {}  # variable -> the record's field that it is
         self.taken = set(entry.__code__.co_varnames)
         self.assigned = set(self.entry.arguments)  # variables that have a value by now, but for those of one tick
+        self.passed: set[str] = set()  # those of one tick
         self.line = entry.__code__.co_firstlineno
         self.whole: ast.expr | None = None  # the expression that is all of a statement's value
 

@@ -202,8 +202,7 @@ class _Writer(Expressions):
             if node.attr in vars(record.value) or node.attr not in declared(type(record.value)):
                 raise self.refused(f"{type(record.value).__name__} declares no variable {node.attr}")
             made = self.name_node(self.variable(record.value, node.attr), node, ast.Store())
-            if node.attr not in record.value.passing:
-                self.assigned.add(made.id)
+            (self.passed if node.attr in record.value.passing else self.assigned).add(made.id)
         elif isinstance(node, ast.Tuple):
             made = ast.Tuple([self.target(each) for each in node.elts], ast.Store())
         elif isinstance(node, ast.Subscript):
@@ -248,7 +247,7 @@ class _Writer(Expressions):
 
     def under(self, mask: str, lines: Sequence[ast.stmt], line: ast.AST) -> None:
         """The lines of a branch of lanes: done in all, and chosen, so that elsewhere each variable stays as it was."""
-        had = frozenset(self.assigned)
+        had = self.assigned | self.passed
         self.masks.append(mask)
         made = self.block(lines)
         self.masks.pop()

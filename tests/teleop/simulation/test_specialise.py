@@ -262,6 +262,26 @@ def act(run: Run, e: End, k: int) -> None:
 """
 
 
+class Passing(Axis):
+    passing = ("y",)
+
+
+def chosen(e: End, here: Any) -> None:
+    for a in e.axes:
+        a.y = 1.0
+        if here > 0.0:
+            a.y = 2.0
+        e.total = a.y
+
+
+def test_a_field_of_one_tick_that_a_branch_of_lanes_set_was_set_in_all_lanes() -> None:
+    e = End(axes=1)
+    for kind in (Axis, Passing):
+        e.axes = (kind("m0", 0),)
+        made = ast.unparse(specialise(chosen, e, engine="vector").tree)
+        assert "y_m0 = select(mask, y_m0, y_was)" in made.replace("y_m0_was", "y_was"), made
+
+
 def test_the_page_of_the_evaluator_shows_what_it_makes_of_a_stage(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (Path(specialise.__code__.co_filename).parent / "EVALUATOR.md").read_text()
