@@ -188,11 +188,11 @@ function goal(p) {  // where the slave is to be brought, or how far the hand is 
   const {at, width, of} = hello.target, rail = of === "hand" ? p.m : p.s, from = of === "hand" ? (row.xm || row.hand)[0] : 0;
   const [x, w] = [rail.ox + (from + at) * p.scale, Math.max(4, width * p.scale)], top = hello.axes > 1 ? H / 2 - p.side / 2 : rail.oy - 34;
   g.globalAlpha = .3;
-  g.fillStyle = C.wall;
+  g.fillStyle = C.master;
   g.fillRect(x - w / 2, top, w, hello.axes > 1 ? p.side : 68);
   g.globalAlpha = 1;
-  line(C.wall, 2, [x - w / 2, top], [x - w / 2, top + (hello.axes > 1 ? p.side : 68)]);
-  line(C.wall, 2, [x + w / 2, top], [x + w / 2, top + (hello.axes > 1 ? p.side : 68)]);
+  line(C.master, 2, [x - w / 2, top], [x - w / 2, top + (hello.axes > 1 ? p.side : 68)]);
+  line(C.master, 2, [x + w / 2, top], [x + w / 2, top + (hello.axes > 1 ? p.side : 68)]);
 }
 function draw(dt) {
   g.setTransform(R, 0, 0, R, 0, 0);

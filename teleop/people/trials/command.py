@@ -21,6 +21,7 @@ from teleop.live.page.controls import Controls
 from teleop.live.page.session import Start, size_text
 from teleop.live.process import output
 from teleop.live.process.interrupt import Interrupt
+from teleop.people.felt import knobs_of
 from teleop.people.journal import NAME, of_kind, read_journal
 from teleop.people.plan import StudyPlan
 from teleop.people.plan_file import read_plan
@@ -30,11 +31,13 @@ from teleop.people.study import STUDY, Study, check_lock, check_participant, cre
 from teleop.people.trials.markers import lsl_markers, silent
 from teleop.people.trials.records import private_file
 from teleop.people.trials.rig import Rig, private_folder
+from teleop.scene.scene import Scene
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import duration, facts
 
 DOCUMENT = Path(__file__).with_name("screen.html")
 LAST = "study.json"  # port and token of the last screen
+MOST_AXES = 3  # that are shown
 PERIOD = 1.0 / 60.0  # s between two pictures
 OVER = 0.5  # s for the last message to reach the screen
 ROOM = 1.5  # of what a session needs on the disk, that has to be free
@@ -65,12 +68,14 @@ def run(args: Namespace, head: Callable[[StudyPlan, str], dict[str, Any]]) -> An
         raise Refused(f"participant {number} has begun already; add --resume to go on" if rows else
                       f"participant {number} has not begun yet; leave --resume out")
     controls = Controls(plan.scene, shared_knobs(plan))
+    check_scenes(plan, controls.first)
+    needed = disk_of(plan)
+    free = shutil.disk_usage(next(each for each in (folder, *folder.absolute().parents) if each.is_dir())).free
+    if free < ROOM * needed:
+        raise Refused(f"a session leaves {size_text(needed)}, and the disk of {folder} has {size_text(free)} left; "
+                      "free some space")
     mark = lsl_markers(plan.name, number) if args.lsl else silent
     study = open_study(folder, plan, simulated=False) if is_there else create_study(plan, folder, entropy=randbits(192))
-    needed, free = disk_of(plan), shutil.disk_usage(study.folder).free
-    if free < ROOM * needed:
-        raise Refused(f"a session leaves {size_text(needed)}, and the disk of {study.folder} has {size_text(free)} "
-                      "left; free some space")
     port, token = page_address(args.port, LAST)
     way = Path(mkstemp(suffix=".html")[1]) if args.open else None
     records = private_folder(study.folder / f".live-{number:02d}")
@@ -114,6 +119,21 @@ def _answer(study: Study, number: int, head: Callable[[StudyPlan, str], dict[str
     text = facts([("study", plan.name), ("participant", f"{number}: {sentence}"), ("next", after)])
     document = {**head(plan, sentence), "participant": number, "trials": done, "of": trials_of(plan)}
     return Answer(text, document).kept_in(study.folder)
+
+
+def check_scenes(plan: StudyPlan, first: Scene) -> None:
+    """Refuse a plan with a trial that the running ends could not turn to. Raises `Refused`."""
+    from teleop.people.trials.conduct import trial_scene
+
+    if first.axes > MOST_AXES:
+        raise Refused(f"the screen shows up to {MOST_AXES} axes, and scene {plan.scene} has {first.axes}; take a scene "
+                      "with fewer")
+    for condition in plan.conditions:
+        for level in (plan.task.standard, *plan.task.levels):
+            _, scene = trial_scene(plan.scene, knobs_of(plan, condition, level))
+            if (scene.dt_ns, scene.axes) != (first.dt_ns, first.axes):
+                raise Refused(f"condition {condition.name!r} has other ticks or axes than the scene, and a trial goes "
+                              "on with both; leave them out of its set")
 
 
 def check_device(plan: StudyPlan, device: str | None) -> None:

@@ -46,8 +46,8 @@ SHAPES = {
 }
 """What a screen may send, by the type of the message."""
 TASKS = {
-    TaskKind.REACH: "Bring the robot into the green band, as quickly and as exactly as you can, and hold it there.",
-    TaskKind.PRESS: "Press the wall until the hand reaches the green mark, and hold it there.",
+    TaskKind.REACH: "Bring the robot into the blue band, as quickly and as exactly as you can, and hold it there.",
+    TaskKind.PRESS: "Press the wall until the hand reaches the blue mark, and hold it there.",
     TaskKind.COMPARE: "Press two walls, one after the other. Then say which of the two was stiffer.",
     TaskKind.FREE: "Move the handle as you like, and press the wall.",
 }

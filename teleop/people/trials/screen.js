@@ -47,7 +47,7 @@ function show(m) {
   if (is("consent")) consent(m);
   else if (is("instructions")) words(m.resumed ? "Welcome back" : TITLES.instructions, m.text, m.pointer
     ? "Drag the handle with the mouse or a finger, or move it with the arrow keys. The further you pull your hand away from the handle, the harder you push."
-    : "Hold the handle of the device in front of you.",
+    : "Hold the handle of the device in front of you. Before each trial bring it back to where it began, and hold it still.",
     m.training > 0 ? "The first trials are for practice." : "", "Before each trial there is a short pause. You can stop at any time with the red button below, or with the Escape key: the force is then off.");
   else if (is("turn")) { words(interval ? `${interval} ${m.noun}` : "Get ready"); $("ready").firstChild.textContent = interval === "Second" ? `Now the second ${m.noun} ...` : "Get ready ..."; dropped(); }
   else if (is("record")) { words("One moment"); $("ready").firstChild.textContent = "One moment ..."; }
