@@ -15,9 +15,10 @@ from websockets.sync.client import ClientConnection, connect
 
 from teleop import load_result
 from teleop.__main__ import main
+from teleop.live.page.rows import RecordTail
 from teleop.people.journal import read_journal
 from tests.live.study import NAMES, PLAN, StudySession, readable
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, until
 
 pytestmark = pytest.mark.live
 
@@ -84,11 +85,31 @@ def test_nothing_that_anybody_can_see_names_a_condition_and_a_cut_trial_runs_aga
     assert main(["replay", str(tmp_path / "own" / "interval-1" / "master")]) == 0, "and runs again to the bit"
 
 
-def test_whoever_withdraws_in_the_middle_leaves_nothing_and_the_processes_end(tmp_path: Path) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN.format(task='kind = "free"\nseconds = 0.5', primary="peak_force"))
+def newest_force(study: Path) -> float | None:
+    """The master's force of the newest row that it has written while nobody steers, N."""
+    files = sorted(study.glob(".live-01/*/master/idle.bin"))
+    if not files:
+        return None
+    tail = RecordTail(files[-1].parent, files[-1].name)
+    tail.read()
+    tail.close()
+    return float(tail.newest[-1][tail.slices["f_m"].start]) if tail.newest else None
+
+
+def test_stop_takes_the_force_away_and_whoever_withdraws_then_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN.format(task='kind = "free"\nseconds = 60.0', primary="peak_force"))
     with StudySession(tmp_path) as session:
-        sit(session, lambda message: message.get("screen") == "trial")
         with screen_of(session) as socket:
+            for message in ({"type": "consent", "code": "P1"}, {"type": "next"}):
+                socket.send(json.dumps(message))
+            pressing: dict[str, Any] = {}
+            while not pressing.get("xm", [0.0])[0] > 0.035:  # beyond the wall's surface
+                pressing = json.loads(socket.recv(PATIENCE))
+                socket.send(json.dumps({"type": "hand", "to": [0.06]}))
+            socket.send(json.dumps({"type": "stop"}))
+            until(lambda: newest_force(tmp_path / "study") == 0.0, "the force stays")
+            rows = read_journal(tmp_path / "study" / "sub-01" / "journal.jsonl")
+            assert [row["stopped"] for row in rows[1:]] == [True]
             socket.send(json.dumps({"type": "withdraw"}))
             while json.loads(socket.recv(PATIENCE)).get("screen") != "withdrawn":
                 pass
