@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from teleop.errors import number_of, plural
+from teleop.errors import enumerated, number_of, plural
 from teleop.law import is_built_in, law_name
 from teleop.law.contract import not_finite
 from teleop.scene.axes import labels_of
@@ -103,23 +103,24 @@ def growth(prepared: Prepared, trace: Mapping[str, Any], advises: bool) -> list[
     paths = [*(prepared.reference or ()), *carried]
     way = max([float(np.ptp(path)) for path in paths], default=0.0)
     with np.errstate(all="ignore"):  # forces and ways may be so large that no float holds their work
-        given_out, put_in = -_port(trace), _will(prepared, trace)
-    if swung[-1] <= BEYOND * way + OWN or not given_out > put_in:
+        out, put_in = given_out(trace), _will(prepared, trace)
+    if swung[-1] <= BEYOND * way + OWN or not out > put_in:
         return []
     unit = position_unit(scene)
     return [GrowthNote(
         f"the motion still grows at the end: a swing of {swung[-1]:.3g} {unit} peak to peak in the last eighth of "
         f"the run and of {swung[0]:.3g} {unit} half a run before, where the hand's reference moves over {way:.3g} "
-        f"{unit}; law and link have given out {given_out:.3g} J (E_port), the hand has put in {put_in:.3g} J"
+        f"{unit}; law and link have given out {out:.3g} J (E_port), the hand has put in {put_in:.3g} J"
         + (f"; to see whether the loop is stable: teleop stability {scene_arguments(scene)}" if advises else ""))]
 
 
-def _port(trace: Mapping[str, Any]) -> float:
-    """Energy (J) that law and link have taken up at both ends: each force with the motion that it was held over."""
+def given_out(trace: Mapping[str, Any]) -> float:
+    """Energy (J) that law and link have given out at both ends: each force with the motion that it was held over."""
     def work(f: str, x: str) -> float:
         return float((trace[f][:-1] * np.diff(trace[x], axis=0)).sum())
 
-    return work("f_m", "x_m") - (work("f_s", "x_s") if "x_s" in trace else 0.0)
+    policy = work("f_policy_m", "x_m") if "f_policy_m" in trace else 0.0  # whose part of f_m is -f_policy_m
+    return (work("f_s", "x_s") if "x_s" in trace else 0.0) - work("f_m", "x_m") - policy
 
 
 def _will(prepared: Prepared, trace: Mapping[str, Any]) -> float:
@@ -224,6 +225,25 @@ def age_note(end: str, count: int, most: float, age: float) -> str:
             f"{plural(count, 'it', 'them')}, up to {most:g} s, so it let go; for a link as long as that type --set "
             f"age={enough}, or in a scene of your own watchdog=Watchdog(age={enough}); "
             "with none in place of a number a message may be of any age")
+
+
+def handed_over(scene: Scene, trace: Mapping[str, Any]) -> list[str]:
+    """The note on a scene's policy: its time and work, what was left in its tank, and who took it back, and when."""
+    if "policy_m" not in trace:
+        return []
+    from teleop.stages.authority import Standing
+
+    t, standing = trace["t"], trace["policy_m"]
+    ticks = {each: int((standing == each).sum()) for each in Standing}
+    note = (f"the policy had authority for {ticks[Standing.POLICY] * scene.dt:.3g} s and did "
+            f"{trace['E_policy_m'][-1]:.3g} J of work; its tank of {scene.handover.energy:g} J was never below "  # type: ignore[union-attr]
+            f"{trace['E_tank_m'].min():.3g} J")
+    taken = t[1:][(standing[1:] == Standing.GRIPPED) & (standing[:-1] != Standing.GRIPPED)]
+    if len(taken):
+        note += f"; the operator took over by force at t = {enumerated([f'{at:.3g}' for at in taken[:5]])} s"
+    if ticks[Standing.LATE]:
+        note += f"; it gave way for {ticks[Standing.LATE] * scene.dt:.3g} s in which no action came"
+    return [note]
 
 
 def integration(scene: Scene, bodies: Bodies, inner: tuple[tuple[Any, ...], tuple[Any, ...]]) -> dict[str, Any]:

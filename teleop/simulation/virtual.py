@@ -12,7 +12,15 @@ from teleop.errors import NamedValues, Refused, number_of
 from teleop.law.contract import attempt
 from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies
-from teleop.simulation.ending import Ending, integration, over_tolerance, position_unit, too_old, verdict
+from teleop.simulation.ending import (
+    Ending,
+    handed_over,
+    integration,
+    over_tolerance,
+    position_unit,
+    too_old,
+    verdict,
+)
 from teleop.simulation.notes import faded, law_notes, of_plans, unplayed, untuned
 from teleop.simulation.plan import LinkPlans, check_seed, counts_of, link_plans, packet_counts, round_trip
 from teleop.simulation.prepared import Prepared, prepare
@@ -115,7 +123,7 @@ def result_of(
     sentences += too_old(scene, "master", bwd, ran)
     sentences += too_old(scene, "slave", fwd, ran)
     sentences += over_tolerance(reports, position_unit(scene))
-    sentences += unplayed(scene, trace, packets, seed=seed) + faded(scene, trace)
+    sentences += unplayed(scene, trace, packets, seed=seed) + faded(scene, trace) + handed_over(scene, trace)
     return Result.make(
         scene, ending._replace(notes=(*sentences, *ending.notes)), seed=seed, mode="virtual", ticks=ran,
         run_time=None if took is None else took / 1e9, trace=trace, packets={} if scene.slave is None else packets,

@@ -15,7 +15,7 @@ from teleop.live.records.reader import FILE, check_fits, read_noted
 from teleop.live.records.record import check_one_run, read_events
 from teleop.scene.loading import stored_scene
 from teleop.scene.scene import Scene
-from teleop.simulation.ending import Ending, ending
+from teleop.simulation.ending import Ending, ending, handed_over
 from teleop.simulation.notes import delay, faded, law_notes, longest, unplayed, untuned
 from teleop.simulation.plan import Packets, packet_counts, round_trip
 from teleop.simulation.prepared import Prepared, prepare
@@ -127,6 +127,7 @@ def merge(scene: Scene, master: Path, slave: Path, *, channel: dict[str, Any] | 
         notes.append("the two met anew in between, and their ledgers of energy began anew: they are those of the last "
                      f"session, from t = {again * scene.dt:.3f} s on")
     notes += [*unplayed(scene, trace, packets, seed=ours["seed"], live=not stepped), *faded(scene, trace),
+              *handed_over(scene, trace),
               *verdict.notes,
               *[f"{NAMES[e]}: {note}" for e, end in ends.items() for note in end["notes"]]]
     return Result.make(

@@ -19,6 +19,7 @@ from channel import LeftOut, parse_link
 from master import Grip, Reach, Rest, Sine
 from slave import Wall
 from teleop import Cap, Handover, MassDamper, Operator, Scene, Watchdog, find_law, load_scene, run, seed_energy
+from teleop.simulation.ending import given_out
 from teleop.stages.authority import Standing
 from teleop.stages.handover import part_of_policy
 from tests.fakes import law_of
@@ -71,8 +72,10 @@ def test_the_handles_force_does_not_jump_as_authority_goes_over_and_back(law: st
 
 @pytest.mark.parametrize(("law", "delay"), CASES)
 def test_a_hand_that_pulls_back_takes_over_by_force_and_none_before(law: str, delay: float) -> None:
-    trace = run(load_scene("handover", law=law, delay=delay, grip=2.0)).trace
-    assert 2.0 < when(trace, Standing.GRIPPED) < 2.7
+    result = run(load_scene("handover", law=law, delay=delay, grip=2.0))
+    trace, taken = result.trace, when(result.trace, Standing.GRIPPED)
+    assert 2.0 < taken < 2.7
+    assert any(f"took over by force at t = {taken:.3g} s" in note for note in result.notes)
     after = trace["t"] > 2.9 + 0.01  # ramped out, and it stays the operator's though the switch is on until t = 3
     assert np.abs(trace["f_policy_m"][after]).max() == 0.0
     assert {*trace["policy_m"][(trace["t"] > 2.7) & (trace["t"] < 3.0)]} == {Standing.GRIPPED}
@@ -217,6 +220,9 @@ def test_the_law_is_told_its_own_part_and_both_ports_add_up_to_the_device() -> N
         assert trace["E_policy_m"][-1] > 1e-3
         np.testing.assert_allclose(np.cumsum((f + f_p)[:-1] * dx), trace["E_m"][1:], atol=1e-12)
         np.testing.assert_array_equal(trace["E_port_m"], np.concatenate([[0.0], np.cumsum((f + f_p)[:-1] * dx)]))
+        # What a note on a motion that grows says of law and link is theirs alone.
+        own = trace["E_port_m"][-1] - (trace["f_s"][:-1] * np.diff(trace["x_s"])).sum()
+        assert given_out(trace) == pytest.approx(-own, abs=1e-12)
         paid = np.cumsum(np.maximum(f_p[:-1] * dx, 0.0))
         np.testing.assert_allclose(trace["E_policy_m"][1:], paid, atol=1e-12)
         if cap is None and not clutch:
