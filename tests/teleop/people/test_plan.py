@@ -113,6 +113,7 @@ def test_the_examples_are_simulated_and_analysed(name: str) -> None:
 
 
 @pytest.mark.full
+@pytest.mark.timeout(3600)
 def test_over_200_studies_w_is_recovered_and_contrasts_alarm_as_often_as_they_say() -> None:
     """The first example, from its answers to its contrast: each count within what 200 studies leave to chance."""
     plan = read_plan(EXAMPLES / "discrimination.toml")
