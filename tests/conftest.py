@@ -3,9 +3,10 @@
 The long ones run only when they are asked for: `pytest -m soak`, `pytest -m fuzz`; and `pytest -m full`, which repeats
 for every law, engine and scene what the suite shows with one or two of them. So do style, types and import rules,
 which are a job of their own: `pytest -m house`, or by the name of their file. The rest goes file by file to as
-many workers as `-n` says, and whatever starts processes and looks at the clock to two of them, one after the other, so
-that no more than two of these wait for each other. The pages before stand-ins of the ends, and the browsers before
-stand-ins of the page's server, go together. These sleep most of their time, so there is a worker more than cores.
+many workers as `-n` says, and whatever starts processes and looks at the clock to one of them, one after the other, so
+that no two of these wait for each other: beside ends with real-time scheduling those in a process of the tests starve.
+The pages before stand-ins of the ends, and the browsers before stand-ins of the page's server, go to another. These two
+sleep most of their time, so there is a worker more than there are cores.
 
 Bytecode is written whatever the environment says: tests start hundreds of processes, and each would compile anew. On a
 fresh checkout each worker first imports a part of the files that is its own, so that no two compile the same.
@@ -26,7 +27,6 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -42,7 +42,6 @@ TIMED = (
 
 CLOCKLESS = ("tests/live/test_stepped.py", "tests/live/test_device_lock.py")  # with sockets or processes, by no clock
 STAND_INS = "tests/live/page/"
-CHAINS = 2  # of timed tests side by side
 REAL = ("test_real.py",)  # of these files there: with the ends of a run
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -109,7 +108,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 class ByFile(LoadScopeScheduling):  # type: ignore[misc]  # it has no types
-    """A file goes to one worker, all that are timed to as many as there are chains."""
+    """A file goes to one worker, all that are timed to the same."""
 
     def _split_scope(self, nodeid: str) -> str:
         file = nodeid.split("::", 1)[0]
@@ -117,7 +116,7 @@ class ByFile(LoadScopeScheduling):  # type: ignore[misc]  # it has no types
             return "stand-ins"
         if not file.startswith(TIMED) or file in CLOCKLESS or not _is_live(file):
             return file
-        return f"timed {crc32(file.encode()) % CHAINS}"
+        return "timed"
 
 
 @cache

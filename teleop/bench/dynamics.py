@@ -129,6 +129,7 @@ class Arm:
         robot._body = copy(robot._body)
         model = robot._model.model
         model.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        robot.weightless = ideal
         model.body_gravcomp[1:], model.dof_frictionloss[:] = float(ideal), 0.0 if ideal else self._loss
         return robot
 
@@ -136,6 +137,7 @@ class Arm:
         """The arm in MuJoCo, with its weight, before the block that it is pressed on."""
         robot = self._open(self.pressed)
         robot._model.model.body_gravcomp[:] = 0.0
+        robot.weightless = False
         return robot
 
     def _open(self, file: str) -> Any:

@@ -62,7 +62,7 @@ def make_shell(scene: Scene, e: str, wire: Wire, folder: Path, *, seed: int | No
     session = Session(master=e == "m", manifest=manifest_of(scene), number=number, heals=seed is None)
     folder.mkdir(parents=True)
     device = other.pop("device", DEVICES[e](scene))
-    parts = {"say": lambda _numbers: None, "peer_timeout": PATIENCE, "interrupt": Interrupt(), **other}
+    parts = {"say": lambda _numbers: None, "peer_timeout": PATIENCE / 5.0, "interrupt": Interrupt(), **other}
     about = {"scene": scene.name, "knobs": {}, "seed": seed or 0, "mode": "live" if seed is None else "lockstep"}
     return Shell(Endpoint(scene, e, session, inbox), device, wire, RecordWriter(scene, e, folder, about), **parts)
 

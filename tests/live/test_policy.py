@@ -111,7 +111,8 @@ def by_page(run: Ordered, policy: Rolling) -> None:
     says(run, LATE, since)
     policy.silent = False
     says(run, SAYS[Standing.POLICY], since)
-    since, policy.to = run.now()["m"], (2.0, 0.0, 0.0)
+    since = max(i for i, event in enumerate(run.events["m"]) if SAYS[Standing.POLICY] in str(event.get("why", "")))
+    policy.to = (2.0, 0.0, 0.0)
     says(run, LEAP, since)
     says(run, LATE, since)
     policy.to = (0.3, -0.3, 0.0)

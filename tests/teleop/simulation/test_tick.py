@@ -225,5 +225,5 @@ def test_a_live_end_has_the_bits_of_the_tick_as_it_stands(e: str) -> None:
     next(stood)
     for k, missed in ((0, 1), (1, 1), (5, 4), (6, 1)):
         sent = (k, (0.01 * k,), (0.1,), (0.3,), False, -1, None, None, 1.0 if missed == 1 else 0.0, (0.2,), missed,
-                0.0, 1.0, 0.0, 0.0, None)
+                0.0, 1.0, 1.0, 0.0, 0.0, None)
         assert repr(made.send(sent)) == repr(stood.send(sent))

@@ -94,7 +94,7 @@ def test_a_person_goes_through_a_session_that_is_cut_once_and_is_sent_no_name_of
     assert [row["number"] for row in done] == [*range(1, trials + 1)]
     assert [row["again"] for row in done] == [int(i == trials // 2) for i in range(trials)]
     assert {row["answer"] for row in done} == {1, 2}
-    assert sum(row["peak_force"] > 1.0 for row in done) > trials / 2, "the wall was pressed"
+    assert sum(row["peak_force"] > 1.0 for row in done) >= trials / 2, "the wall was pressed"
     assert all(row["refresh"] for row in done[1:])
     assert [row["texts"] for row in rows if "texts" in row] == [["No, thank you."]]
     assert len(page.frames) > 10 * trials
