@@ -122,7 +122,7 @@ def test_over_the_same_links_messages_that_are_held_in_the_gaps_make_energy(few:
     """What nobody claims: the links and motions are such that a wave played twice shows."""
     rows = [(n, held(knobs), seed) for n, knobs, seed in few.rows[:60]]
     made = [row["E_link_min"] for row in active(swept(rows))]
-    assert len(made) >= 6
+    assert len(made) >= 4
     assert min(made) < -0.01
 
 
