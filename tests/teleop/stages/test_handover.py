@@ -79,8 +79,9 @@ def test_a_hand_that_pulls_back_takes_over_by_force_and_none_before(law: str, de
     after = trace["t"] > 2.9 + 0.01  # ramped out, and it stays the operator's though the switch is on until t = 3
     assert np.abs(trace["f_policy_m"][after]).max() == 0.0
     assert {*trace["policy_m"][(trace["t"] > 2.7) & (trace["t"] < 3.0)]} == {Standing.GRIPPED}
-    # Of a hand on the move the law's own force may leap: two_layer's does by 0.09 N m where its tank is empty.
-    assert np.abs(np.diff(trace["f_policy_m"], axis=0)).max() < 0.0201
+    assert np.abs(np.diff(trace["f_policy_m"], axis=0)).max() < 0.0201  # its slew, at every tick
+    # A hand on the move; two_layer's own force leaps by up to 0.087 N m where its tank is empty, its policy's does not.
+    assert jump(trace, 2.0, 3.4) < (0.09 if law == "two_layer" else 0.05)
 
 
 def test_it_is_the_policys_again_once_its_switch_was_off() -> None:
