@@ -76,7 +76,8 @@ def with_common(scene: Scene, values: Mapping[str, Any]) -> Scene:
     parts = {key: value for key, value in values.items() if key not in _SCALES}
     scaling = {key: value for key, value in values.items() if key in _SCALES}
     if scaling:
-        from teleop.stages.scaling import Scaling, scales
+        from teleop.stages.scaling import Scaling
+        from teleop.stages.slave_units import scales
 
         usual = [one if isinstance(scene.scaling, tuple) else one[0] for one in zip(*scales(scene), strict=True)]
         parts["scaling"] = each_axis(Scaling, scene.axes, **{**dict(zip(_SCALES, usual, strict=True)), **scaling})

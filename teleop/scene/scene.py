@@ -464,7 +464,8 @@ def on_axis(scene: Scene, i: int) -> Scene:
     for name in ("start_m", "start_s"):
         parts[name] = scene.vector(name, getattr(scene, name))[i]
     if scene.frame is not None:  # its rotation couples axes, and its size is that of each
-        from teleop.stages.scaling import Scaling, scales
+        from teleop.stages.scaling import Scaling
+        from teleop.stages.slave_units import scales
 
         scale_x, scale_f = scales(scene)[i]
         parts |= {"frame": None, "scaling": Scaling(scale_x=scale_x, scale_f=scale_f)}

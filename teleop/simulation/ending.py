@@ -21,7 +21,7 @@ from teleop.simulation.metrics import found_at_rest, in_base_of_master
 from teleop.simulation.plan import Plan
 from teleop.simulation.prepared import Prepared
 from teleop.simulation.rest import WINDOWS, pitch, places, swings, trend
-from teleop.stages.scaling import scales
+from teleop.stages.slave_units import scales
 
 BEYOND = 2.0  # times the way that the hand's reference and the environment have
 OWN = 1e-3  # m or rad of swing besides

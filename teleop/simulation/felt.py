@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from teleop.scene.scene import Scene
 from teleop.simulation.rest import risen
 from teleop.simulation.trace import blocks
-from teleop.stages.scaling import scales, transpose, turn
+from teleop.stages.slave_units import scales, transpose, turn
 
 TINY = 1e-300
 END = 0.1  # s, before the end: a force that jumps from tick to tick, under loss, is told by its mean

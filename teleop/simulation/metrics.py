@@ -15,7 +15,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.felt import AT_REST, END, SUMS, TINY, figures, frame_of, resting, sums_of, turns_of
 from teleop.simulation.rest import Still
 from teleop.simulation.trace import blocks
-from teleop.stages.scaling import scales, transpose, turn
+from teleop.stages.slave_units import scales, transpose, turn
 
 TWO_ENDS, LINK, WATCHDOG = "a slave", "a link", "a watchdog"  # that a run has
 ROTATION = "a rotation"

@@ -18,7 +18,7 @@ from teleop.scene.playout import Energy, Fixed, Hold, Integral, Playout, Scaled,
 from teleop.scene.scene import Scene
 from teleop.simulation.plan import LinkPlans, Packets, link_plans
 from teleop.stages.memory import LEFT_OUT
-from teleop.stages.scaling import scales
+from teleop.stages.slave_units import scales
 
 SHARE = 0.99  # of the packets that come, which a longer playout is to play
 FADES = 0.001  # of the ticks: where so many are gaps, a steady force has lost a twentieth of itself in ten seconds

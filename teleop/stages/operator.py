@@ -82,7 +82,8 @@ from teleop.law import At, messages
 from teleop.physics.rotation import apart_after, log
 from teleop.stages.alignment import BEHIND, LEAD, NEAR, Unlike, bring, look_ahead
 from teleop.stages.end import SWITCHES, Axis, Column, End, Places, Record, Run, Stage, per_axis
-from teleop.stages.scaling import approach, check_scale, places_of_slave, scale_at
+from teleop.stages.scaling import check_scale, scale_at, scale_step
+from teleop.stages.slave_units import places_of_slave
 
 MOST_SPANS = 64
 PADDED = 4  # spans are kept in fours, so that scenes with a few of them share their lines
@@ -438,7 +439,7 @@ class OperatorStage(Stage):
             switch(self, e, group, k)
         self.clutch = clutch_of(self.groups[0].open, self.groups[1].open) if self.several else self.groups[0].open
         self.scale_was = self.scale
-        self.scale = approach(self.c_switch.factor, self.scale, self.scale_set * scale_at(self.c_switch.scales, k))
+        self.scale = scale_step(self.c_switch.factor, self.scale, self.scale_set * scale_at(self.c_switch.scales, k))
         if self.scale_was <= 0.0:
             self.scale_was = self.scale
 

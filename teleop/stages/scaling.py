@@ -69,6 +69,7 @@ from typing import Any, ClassVar, NamedTuple
 from teleop.errors import Refused, number
 from teleop.law import At
 from teleop.stages.end import Axis, End, Places, Record, Run, Stage
+from teleop.stages.slave_units import scales
 
 ENTRIES = ("xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")  # of a matrix, row by row
 LEAST, MOST = 0.01, 100.0  # of a scale that is set while it runs
@@ -151,36 +152,6 @@ class Frame:
         return tuple(sorted((*firsts, *scene.rotations)))
 
 
-def scales(scene: Any) -> tuple[tuple[float, float], ...]:
-    """(scale_x, scale_f) of each axis of a scene, with the size of its frame; (1.0, 1.0) where it scales nothing."""
-    pairs = tuple([(1.0, 1.0) if each is None else (each.scale_x, each.scale_f) for each in scene.per_axis("scaling")])
-    if scene.frame is None or scene.frame.scale == 1.0:
-        return pairs
-    size = scene.frame.scale
-    return tuple([pair if i in scene.turning else (pair[0] * size, pair[1] / size) for i, pair in enumerate(pairs)])
-
-
-def transpose(m: tuple[float, ...]) -> tuple[float, ...]:
-    """The entries of a matrix, column by column: of a rotation those of the way back."""
-    return (*m[::3], *m[1::3], *m[2::3])
-
-
-def turn(m: tuple[float, ...], firsts: tuple[int, ...], values: Any) -> list[Any]:
-    """Values of axes, each three from these on turned by the matrix: numbers, or columns of a trace."""
-    out = [*values]
-    for i in firsts:
-        x, y, z = values[i:i + 3]
-        out[i:i + 3] = [m[n] * x + m[n + 1] * y + m[n + 2] * z for n in (0, 3, 6)]
-    return out
-
-
-def places_of_slave(scene: Any, places: Any) -> list[Any]:
-    """Places of the slave, one for each axis, in the master's metres and directions."""
-    scaled = [x / scale_x for x, (scale_x, _) in zip(places, scales(scene), strict=True)]
-    frame = scene.frame
-    return scaled if frame is None else turn(transpose(frame.matrix), frame.triples(scene), scaled)
-
-
 def in_units_of_master(scale_x: float, scale_f: float, at: At) -> At:
     """`At` of the slave's end of the law, in the master's units."""
     return At(at.x / scale_x, at.v / scale_x, at.f / scale_f, at.f_held / scale_f, at.dx / scale_x, at.fresh, at.age,
@@ -212,7 +183,7 @@ def scale_at(scales: tuple[tuple[float, float], ...], k: float) -> float:
     return scale
 
 
-def approach(factor: float, scale: float, to: float) -> float:
+def scale_step(factor: float, scale: float, to: float) -> float:
     """The scale a tick later, on its way to another; at once where there is none yet (0)."""
     if scale <= 0.0:
         return to
@@ -314,19 +285,19 @@ class ScalingStage(Stage):
         return FrameNumbers(scales(scene), () if scene.frame is None else scene.frame.matrix)
 
     def begin(self, run: Run, e: End, numbers: Any) -> None:
-        for a, scales in zip(e.axes, self.axes, strict=True):
-            scales.scale_x, scales.scale_f = numbers.scales[a.i]
+        for a, of in zip(e.axes, self.axes, strict=True):
+            of.scale_x, of.scale_f = numbers.scales[a.i]
         for t in self.turned:
             t.xx, t.xy, t.xz, t.yx, t.yy, t.yz, t.zx, t.zy, t.zz = numbers.entries
 
     def situate(self, run: Run, e: End) -> None:
-        for a, scales in zip(e.axes, self.axes, strict=True):
-            a.at = in_units_of_master(scales.scale_x, scales.scale_f, a.at)
+        for a, of in zip(e.axes, self.axes, strict=True):
+            a.at = in_units_of_master(of.scale_x, of.scale_f, a.at)
         for t in self.turned:
             to_master(t)
 
     def act(self, run: Run, e: End, k: int) -> None:
         for t in self.turned:
             to_slave(t)
-        for a, scales in zip(e.axes, self.axes, strict=True):
-            a.f_cmd = scales.scale_f * a.f_cmd
+        for a, of in zip(e.axes, self.axes, strict=True):
+            a.f_cmd = of.scale_f * a.f_cmd

@@ -24,7 +24,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.bodies import reference_samples, slave_plants
 from teleop.simulation.felt import END
 from teleop.simulation.rest import still
-from teleop.stages.scaling import scales
+from teleop.stages.slave_units import scales
 
 LATE = 0.5  # the share of a run, from its end, that counts as late: the hand is in contact then
 

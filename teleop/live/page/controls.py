@@ -15,7 +15,7 @@ from teleop.scene.loading import live_knobs, load_scene
 from teleop.scene.scene import Scene, both_ends
 from teleop.simulation.notes import untuned
 from teleop.simulation.result import law_with_gains, parameters
-from teleop.stages.scaling import places_of_slave
+from teleop.stages.slave_units import places_of_slave
 
 OPEN_ENDED = "86400"  # s; a page goes on until Ctrl-C
 LOOKED_AT = 10.0  # s of the scene's own motion, for the span that is shown
