@@ -106,7 +106,7 @@ class PolicyEvents:
         self._at, self._refused_at = columns.index("policy_m"), columns.index("refused_m")
         self._offsets = [i for i, name in enumerate(columns) if name == "offset_policy_m@"]
         self._ns = scene.dt_ns
-        self._leap = scene.handover.leap  # type: ignore[union-attr]
+        self._leap = scene.handover.leap  # type: ignore[union-attr]  # it has one
         self._is, self._refused = Standing.OPERATOR, 0.0
         self._told_ns = {"policy": -APART_NS, "refused": -10 * APART_NS}
         self._count = 0

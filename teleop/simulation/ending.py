@@ -235,8 +235,9 @@ def handed_over(scene: Scene, trace: Mapping[str, Any]) -> list[str]:
 
     t, standing = trace["t"], trace["policy_m"]
     ticks = {each: int((standing == each).sum()) for each in Standing}
+    full = scene.handover.energy  # type: ignore[union-attr]  # it has one, for there is the column
     note = (f"the policy had authority for {ticks[Standing.POLICY] * scene.dt:.3g} s and did "
-            f"{trace['E_policy_m'][-1]:.3g} J of work; its tank of {scene.handover.energy:g} J was never below "  # type: ignore[union-attr]
+            f"{trace['E_policy_m'][-1]:.3g} J of work; its tank of {full:g} J was never below "
             f"{trace['E_tank_m'].min():.3g} J")
     taken = t[1:][(standing[1:] == Standing.GRIPPED) & (standing[:-1] != Standing.GRIPPED)]
     if len(taken):

@@ -224,7 +224,7 @@ def law_places(trace: Mapping[str, Any]) -> Mapping[str, Any]:
     x = trace["x_m"]
     for name in offsets:
         x = x - trace[name]
-    return ChainMap({"x_m": x}, trace)  # type: ignore[arg-type]
+    return ChainMap({"x_m": x}, trace)  # type: ignore[arg-type]  # nothing is written to it
 
 
 def _ticks(trace: Mapping[str, Any], dt: float) -> NDArray[np.int64]:

@@ -101,7 +101,7 @@ def end_scene(scene: Scene, e: str) -> Scene:
     """The scene as the live end `e` runs it: what a policy does is sent to its ticks, and is none of its numbers."""
     if e != "m" or getattr(scene.handover, "policy", None) is None:
         return scene
-    return replace(scene, handover=scene.handover.without_policy)  # type: ignore[union-attr]
+    return replace(scene, handover=scene.handover.without_policy)  # type: ignore[union-attr]  # it has one
 
 
 def start_of(law: Any, e: str, dt: float) -> Any:
