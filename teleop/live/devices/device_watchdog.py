@@ -186,8 +186,7 @@ def with_watchdog(device: LiveDevice, folder: Path, priority: int | None = None,
 def memory_page(name: str) -> IO[bytes]:
     """Make a file of one page, in memory alone if the system can: a page on its way to a disk would hold up a tick."""
     memory = getattr(os, "memfd_create", None)
-    # Its caller closes it.
-    file: IO[bytes] = os.fdopen(memory(name), "r+b") if memory else TemporaryFile()  # noqa: SIM115 (whoever asks closes it)
+    file: IO[bytes] = os.fdopen(memory(name), "r+b") if memory else TemporaryFile()  # noqa: SIM115 (its caller closes it)
     file.truncate(SIZE)
     return file
 
