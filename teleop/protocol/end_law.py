@@ -39,7 +39,7 @@ class Origin:
 
     def __init__(self, scene: Scene, e: str) -> None:
         self._starts = scene.vector(f"start_{e}", getattr(scene, f"start_{e}"))
-        self._device: Any = getattr(scene, f"device_{e}")
+        self._devices = scene.per_axis(f"device_{e}")
         self.placed = False  # is it known where the device was before tick 0
         speeds = () if scene.operator is None else scene.operator.by_axis("align", scene.axes, 0.0)
         located = any(speeds) and bool(positions(messages(scene.laws[0])[1]))
@@ -55,11 +55,12 @@ class Origin:
 
     def move(self, x: Axes) -> None:
         """Count from `x`, or from the nearest whole step of an encoder; an axis that is aligned from its own zero."""
-        self.at = tuple([0.0 if pin else each for pin, each in zip(self.pinned, x, strict=True)]) if self.pinned else x
-        if self._device is not None and self._device.encoder is not None:
+        at = tuple([0.0 if pin else each for pin, each in zip(self.pinned, x, strict=True)]) if self.pinned else x
+        if self._devices[0] is not None and self._devices[0].encoder is not None:
             from teleop.stages.encoder import encode
 
-            self.at = tuple([encode((self._device.encoder.step, 0.5), each) for each in x])
+            at = tuple([encode((of.encoder.step, 0.5), each) for of, each in zip(self._devices, at, strict=True)])
+        self.at = at
 
     def of_law(self, x: Axes) -> Axes:
         """A position of the device as the law sees it."""

@@ -13,7 +13,21 @@ import pytest
 from channel import LeftOut, parse_link
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop import Cap, Device, Frame, MassDamper, Operator, Reading, Refused, Scene, Watchdog, kind, load_scene, run
+from teleop import (
+    Cap,
+    Device,
+    Encoder,
+    Frame,
+    MassDamper,
+    Operator,
+    Reading,
+    Refused,
+    Scene,
+    Watchdog,
+    kind,
+    load_scene,
+    run,
+)
 from teleop.laws.pp import PositionPosition
 from teleop.protocol.guard import ForceGuard
 from teleop.stages.scaling import check_scale
@@ -311,10 +325,11 @@ def test_a_devices_clutch_of_the_rotation_and_an_order_do_what_schedules_do_to_t
         "the operator holds the clutch o", "the scale is set to 0.5: a metr", "the clutch is closed: positions"]
 
 
-def test_a_live_master_is_silent_until_it_knows_where_the_arm_stands_and_then_brings_it() -> None:
+@pytest.mark.parametrize("device", [None, (Device(encoder=Encoder(step=1e-6)),) * 6], ids=["read", "encoders"])
+def test_a_live_master_is_silent_until_it_knows_where_the_arm_stands_and_then_brings_it(device: Any) -> None:
     """The arm is not where the scene has it: positions are the devices' own, and the first message tells where."""
     of = replace(load_scene("pose", law="pp", duration=3.0), link=None, hand=None, environment=None,
-                 operator=Operator(align=SPEEDS))
+                 operator=Operator(align=SPEEDS), device_s=device)
     elsewhere = replace(of, start_s=POSE)
     ends = met(of)
     devices: dict[str, Any] = {"m": SimulatedMaster(of), "s": SimulatedSlave(elsewhere)}
