@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from inspect import signature
 from math import ceil, inf
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from teleop.errors import Refused, number, number_of
 from teleop.protocol.guard import ForceGuard
+from teleop.protocol.switches import APART_NS, EventLimit
 from teleop.scene.scene import Scene
 from teleop.stages.authority import Standing
 from teleop.stages.handover import Actions
@@ -20,8 +21,6 @@ from teleop.stages.operator import scheduled
 
 AT_ONCE = 64  # actions that are drawn at once, so that no tick waits for many
 LONGEST = 3600.0  # s of a reference that cannot be sampled as it goes
-APART_NS = 100_000_000  # between two events: a policy that comes and goes must not fill what is kept of them
-MOST = 1000  # events that are told
 
 Axes = tuple[float, ...]
 SAYS = {
@@ -52,9 +51,9 @@ class PolicyInput:
         self._drawn = Actions([inf], ())
         self._next = 0  # of those drawn
         self._count = 0  # actions that were drawn so far
-        of: Any = scene.handover
-        self._of = of
-        self._switched = of.switched(dt)
+        assert scene.handover is not None
+        self._of = scene.handover
+        self._switched = self._of.switched(dt)
         self._goes_on = self._of.policy is not None
         if self._goes_on and "first" not in signature(self._of.policy.samples).parameters:
             self._draw(ceil(min(scene.duration, LONGEST) * self._of.rate) + 1)
@@ -105,18 +104,16 @@ class PolicyEvents:
     def __init__(self, scene: Scene, columns: Sequence[str]) -> None:
         self._at, self._refused_at = columns.index("policy_m"), columns.index("refused_m")
         self._offsets = [i for i, name in enumerate(columns) if name == "offset_policy_m@"]
-        self._ns = scene.dt_ns
+        self._limit = EventLimit(scene.dt_ns)
         self._leap = scene.handover.leap  # type: ignore[union-attr]  # it has one
         self._is, self._refused = Standing.OPERATOR, 0.0
-        self._told_ns = {"policy": -APART_NS, "refused": -10 * APART_NS}
-        self._count = 0
 
     def update(self, k: int, row: Sequence[float], guard: ForceGuard) -> None:
         """Row of tick k of the grid."""
-        if row[self._at] != self._is and self._may(k, "policy", APART_NS):
+        if row[self._at] != self._is and self._limit.admits(k, "policy"):
             self._is = Standing(int(row[self._at]))
             guard.tell(k, "policy", SAYS[self._is] + self._away(row))
-        if row[self._refused_at] > self._refused and self._may(k, "refused", 10 * APART_NS):
+        if row[self._refused_at] > self._refused and self._limit.admits(k, "refused", 10 * APART_NS):
             refused = int(row[self._refused_at] - self._refused)
             self._refused = row[self._refused_at]
             guard.tell(k, "policy", f"{number_of(refused, 'action')} of the policy refused: farther than {self._leap} "
@@ -128,10 +125,3 @@ class PolicyEvents:
             return ""
         far = max([row[i] for i in self._offsets], key=abs)
         return f"; the handle is {far:.3g} m or rad from where its law was told, and that stays"
-
-    def _may(self, k: int, what: str, apart_ns: int) -> bool:
-        """Reserve an event at tick k; False if it comes too soon, or after too many."""
-        if k * self._ns - self._told_ns[what] < apart_ns or self._count >= MOST:
-            return False
-        self._told_ns[what], self._count = k * self._ns, self._count + 1
-        return True

@@ -11,8 +11,8 @@ from teleop.scene.scene import Scene
 from teleop.stages.alignment import BEHIND, LEAD, NEAR
 from teleop.stages.end import SWITCHES
 
-APART_NS = 100_000_000  # between two events of a switch: one that bounces must not fill what is kept of events
-MOST = 1000  # events of the switches that are told
+APART_NS = 100_000_000  # between two events of a kind: a switch that bounces must not fill what is kept of events
+MOST = 1000  # events of all kinds
 
 SAYS = {
     ("clutch", 1.0): "the operator holds the clutch open: there is no force, and the slave holds",
@@ -24,6 +24,23 @@ SAYS = {
     ("present", 0.0): "nobody is there: there is no force, and the slave holds",
     ("present", 1.0): "the operator is there: positions count from here",
 }
+
+
+class EventLimit:
+    """Limit of what an end tells of in the ticks of `tick_ns`: ten events of a kind in a second, `MOST` of all."""
+
+    def __init__(self, tick_ns: int) -> None:
+        self._tick_ns = tick_ns
+        self._last_ns: dict[str, int] = {}  # of the run, by the kind
+        self._count = 0
+
+    def admits(self, k: int, kind: str, apart_ns: int = APART_NS) -> bool:
+        """Reserve an event at tick k; False if it comes too soon, or after too many."""
+        now = k * self._tick_ns
+        if now - self._last_ns.get(kind, -apart_ns) < apart_ns or self._count >= MOST:
+            return False
+        self._last_ns[kind], self._count = now, self._count + 1
+        return True
 
 
 class SwitchEvents:
@@ -40,11 +57,9 @@ class SwitchEvents:
         self._speed, self._most = ((), ()) if operator is None else (
             operator.by_axis("align", axes, 0.0), operator.by_axis("align_most", axes, inf))
         self._names, self._units = scene.axis_names, scene.axis_units
-        self._ns = scene.dt_ns
+        self._limit = EventLimit(scene.dt_ns)
         self._is = {"clutch": 0.0, "present": 1.0}
-        self._told_ns = dict.fromkeys((*SWITCHES, "apart"), -APART_NS)  # of the run, of the last event
         self._stays = ""  # what was told of a clutch that stays open
-        self._count = 0
 
     def update(self, k: int, row: Sequence[float], guard: ForceGuard) -> None:
         """Row of tick k of the grid."""
@@ -58,14 +73,14 @@ class SwitchEvents:
             self._closes(k, row, guard, stays=stays)
 
     def _changed(self, k: int, name: str, state: float, guard: ForceGuard) -> None:
-        if self._may(k, name):
+        if self._limit.admits(k, name):
             self._is[name] = state
             guard.tell(k, name, SAYS[name, state])
 
     def _closes(self, k: int, row: Sequence[float], guard: ForceGuard, *, stays: bool) -> None:
         """Say why the clutch stays open, each reason once."""
         which, why = self._reason(row) if stays else ("", "")
-        if which and which != self._stays and self._may(k, "apart"):
+        if which and which != self._stays and self._limit.admits(k, "apart"):
             guard.tell(k, "clutch", why)
             self._stays = which
         elif not stays:
@@ -101,13 +116,6 @@ class SwitchEvents:
         """The size that is the greatest share of its bound, the name and unit of its axis, and the bound."""
         i = max(range(len(sizes)), key=lambda i: sizes[i] / bounds[i] if bounds[i] > 0.0 else 0.0)
         return f"{sizes[i]:.3g}", self._names[i], self._units[i], bounds[i]
-
-    def _may(self, k: int, name: str) -> bool:
-        """Reserve an event at tick k; False if it comes too soon, or after too many."""
-        if k * self._ns - self._told_ns[name] < APART_NS or self._count >= MOST:
-            return False
-        self._told_ns[name], self._count = k * self._ns, self._count + 1
-        return True
 
 
 def switches_of(reading: Any) -> tuple[str, ...]:
