@@ -233,26 +233,15 @@ def to_slave(t: Turned) -> None:
     t.c.f_cmd = t.zx * f + t.zy * g + t.zz * h
 
 
-def place_of_master(stage: ScalingStage, a: Axis) -> Any:
-    """Place of the slave on one axis of the master's base, in the master's metres."""
+def of_master(stage: ScalingStage, a: Axis, name: str, scale: str) -> Any:
+    """Value by this name of the slave on one axis of the master's base, in the master's units by this scale."""
     of = stage.axes[a.i]
     if not of.turn:
-        return a.x / of.scale_x
+        return getattr(a, name) / getattr(of, scale)
     t = of.turn
-    return (getattr(t, of.column[0]) * (t.a.x / stage.axes[t.a.i].scale_x)
-            + getattr(t, of.column[1]) * (t.b.x / stage.axes[t.b.i].scale_x)
-            + getattr(t, of.column[2]) * (t.c.x / stage.axes[t.c.i].scale_x))
-
-
-def force_of_master(stage: ScalingStage, a: Axis) -> Any:
-    """The external force of the slave on one axis of the master's base, in the master's newtons."""
-    of = stage.axes[a.i]
-    if not of.turn:
-        return a.f_ext / of.scale_f
-    t = of.turn
-    return (getattr(t, of.column[0]) * (t.a.f_ext / stage.axes[t.a.i].scale_f)
-            + getattr(t, of.column[1]) * (t.b.f_ext / stage.axes[t.b.i].scale_f)
-            + getattr(t, of.column[2]) * (t.c.f_ext / stage.axes[t.c.i].scale_f))
+    return (getattr(t, of.column[0]) * (getattr(t.a, name) / getattr(stage.axes[t.a.i], scale))
+            + getattr(t, of.column[1]) * (getattr(t.b, name) / getattr(stage.axes[t.b.i], scale))
+            + getattr(t, of.column[2]) * (getattr(t.c, name) / getattr(stage.axes[t.c.i], scale)))
 
 
 class FrameNumbers(NamedTuple):

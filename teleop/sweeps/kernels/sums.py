@@ -9,7 +9,7 @@ from typing import Any
 
 from teleop.simulation.felt import AT_END, names
 from teleop.stages.end import Axis, End, Record, Run
-from teleop.stages.scaling import force_of_master, place_of_master
+from teleop.stages.scaling import of_master
 
 
 class AxisSums(Record):
@@ -198,15 +198,18 @@ class FigureSums(Record):
 
 def place_of_law(e: End, a: Axis) -> Any:
     """The place of one axis as the law is told it and in its units, m."""
-    if e.stage.operator and e.stage.handover and e.stage.handover.moves:
-        return a.x - e.stage.operator.axes[a.i].offset - e.stage.handover.axes[a.i].away
+    if e.stage.handover and e.stage.handover.moves:
+        return place_of_operator(e, a) - e.stage.handover.axes[a.i].away
+    return place_of_operator(e, a)
+
+
+def place_of_operator(e: End, a: Axis) -> Any:
+    """The place of one axis without what an open clutch left out, in the law's units, m."""
     if e.stage.operator:
         return a.x - e.stage.operator.axes[a.i].offset
-    if e.stage.handover and e.stage.handover.moves:
-        return a.x - e.stage.handover.axes[a.i].away
-    return place_of_master(e.stage.scaling, a) if e.stage.scaling else a.x
+    return of_master(e.stage.scaling, a, "x", "scale_x") if e.stage.scaling else a.x
 
 
 def force_of_law(e: End, a: Axis) -> Any:
     """The external force of one axis in the units of the law, N."""
-    return force_of_master(e.stage.scaling, a) if e.stage.scaling else a.f_ext
+    return of_master(e.stage.scaling, a, "f_ext", "scale_f") if e.stage.scaling else a.f_ext
