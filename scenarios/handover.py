@@ -7,14 +7,13 @@ gets the numbers of such a joint: those of a handle at the end of a lever of 0.3
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from channel import Delay
 from master import Grip, Reach, Recording
 from scenarios.bench_top import spans
-from scenarios.pose import Moves, at_lever
+from scenarios.pose import Moves, at_lever, with_gains
 from slave import Wall
 from teleop import Cap, Handover, Knob, Law, MassDamper, PositionPosition, Scene, Watchdog, knob
 
@@ -64,7 +63,7 @@ def scene(
     along = Reach(to=tuple([0.9 * each for each in goal]), start=0.6, duration=1.6)
     back = () if grip is None else (Reach(to=tuple([-each - 1.0 for each in goal]), start=grip, duration=0.4),)
     return Scene(
-        law=sized(law),
+        law=with_gains(law, GAINS, lambda law: at_lever(law, LEVER)),
         axes=axes,
         names=("joint",) if axes == 1 else (),
         units=("rad",) * axes,
@@ -85,13 +84,3 @@ def scene(
         dt=dt,
         duration=duration,
     )
-
-
-def sized(law: Any) -> Any:
-    """A law with the numbers of such a joint where it has its own defaults; a law for each axis stays as it is."""
-    if isinstance(law, tuple):
-        return law
-    left = {each.name for each in fields(law) if getattr(law, each.name) == each.default}
-    made = at_lever(law, LEVER)
-    return replace(made, **{each.name: GAINS.get(each.name, getattr(made, each.name)) if each.name in left
-                            else getattr(law, each.name) for each in fields(law)})

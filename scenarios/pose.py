@@ -8,7 +8,8 @@ along. A law for each axis, as `--set law.K=100,100,100,0.2,0.2,0.2` makes it, i
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from math import cos, pi, sin
 from typing import Annotated, Any, get_type_hints
 
@@ -94,3 +95,15 @@ def at_lever(law: Any, lever: float) -> Any:
              for name, hint in get_type_hints(type(law), include_extras=True).items()}
     changes = {name: getattr(law, name) * lever ** POWERS[unit] for name, unit in units.items() if unit in POWERS}
     return replace(law, **changes)
+
+
+def with_gains(law: Any, gains: Mapping[str, float], usual: Callable[[Any], Any] = lambda law: law) -> Any:
+    """A law with these gains where it has its own defaults, the rest of which are as `usual` makes them.
+
+    A law for each axis stays as it is.
+    """
+    if isinstance(law, tuple):
+        return law
+    made = usual(law)
+    left = [each.name for each in fields(law) if each.init and getattr(law, each.name) == each.default]
+    return replace(law, **{name: gains.get(name, getattr(made, name)) for name in left})

@@ -8,12 +8,12 @@ refused.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from math import inf
 from typing import Annotated, Any
 
 from channel import Delay
 from master import Grip, Reach
+from scenarios.pose import with_gains
 from slave import Tissue, Wall
 from teleop import Cap, Knob, Law, PositionPosition, Scene, Servo, Watchdog, each_axis, knob, servos_of_file
 
@@ -66,7 +66,7 @@ def scene(
             K=K, damping=damping, friction=friction, stall=inf if stall is None else stall, backlash=backlash)
 
     return Scene(
-        law=sized(law),
+        law=with_gains(law, GAINS),
         axes=axes,
         names=JOINTS,
         units=("rad",) * axes,
@@ -85,12 +85,3 @@ def scene(
         dt=dt,
         duration=duration,
     )
-
-
-def sized(law: Any) -> Any:
-    """A law with the `GAINS` of such a joint where it has its own defaults; a law for each joint stays as it is."""
-    if isinstance(law, tuple):
-        return law
-    defaults = {each.name: each.default for each in fields(law)}
-    left = [name for name in GAINS if name in defaults and getattr(law, name) == defaults[name]]
-    return replace(law, **{name: GAINS[name] for name in left})
