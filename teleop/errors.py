@@ -147,6 +147,21 @@ def number(name: str, value: object, *, low: float | None = None, above: float |
     return got
 
 
+def numbers(name: str, value: object, *, low: float | None = None, above: float | None = None,
+            high: float | None = None) -> float | tuple[float, ...]:
+    """Convert a number, or a tuple with one for each axis, to floats. Raises `Refused` as `number` does."""
+    if isinstance(value, tuple):
+        return tuple([number(name, each, low=low, above=above, high=high) for each in value])
+    return number(name, value, low=low, above=above, high=high)
+
+
+def by_axis(name: str, value: float | tuple[float, ...], axes: int) -> tuple[float, ...]:
+    """Numbers of so many axes, out of one for all or one for each. Raises `Refused` for more or fewer."""
+    if isinstance(value, tuple) and len(value) != axes:
+        raise WrongCount(name, value, axes)
+    return value if isinstance(value, tuple) else (value,) * axes
+
+
 def _in_range(low: float | None, above: float | None, high: float | None) -> float:
     """A number of the range, 1 where it is one."""
     least = max(1.0, low if low is not None else 1.0, above + 1.0 if above is not None else 1.0)

@@ -158,7 +158,7 @@ def worked_out(scene: Scene, trace: Mapping[str, Any]) -> dict[str, float]:
             energy = _begun(trace[ledger])
             out |= {f"{ledger}_min": float(energy.min()), f"{ledger}_end": float(energy[-1])}
     if "E_port_min" in out:
-        out["energy_out"] = given_out(out["E_port_min"])
+        out["energy_out"] = energy_out(out["E_port_min"])
     for way, e in (("fwd", "s"), ("bwd", "m")):
         if {f"E_in_{way}", f"E_out_{way}", f"seq_{e}"} <= trace.keys():
             out[f"E_{way}_min"] = _stamped(trace, way, e, dt)
@@ -287,7 +287,7 @@ def _last(trace: Mapping[str, Any], dt: float) -> int:
     return min(int(np.searchsorted(t, t[-1] - END + 0.5 * dt)), len(t) - 1)
 
 
-def given_out(least: float) -> float:
+def energy_out(least: float) -> float:
     """The most energy that was given out, of the least that was taken up, J."""
     return 0.0 if least >= 0.0 else -least
 

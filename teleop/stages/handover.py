@@ -62,11 +62,11 @@ tank `E_tank_m`, W as `E_policy_m`, and `refused_m`, how many actions leapt.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from math import ceil, inf
 from typing import Any, ClassVar, NamedTuple
 
-from teleop.errors import Refused, WrongCount, number
+from teleop.errors import Refused, by_axis, number, numbers
 from teleop.law import At
 from teleop.physics.following import Follower, approach, following
 from teleop.stages.authority import GRIPS, Rules, share_step, standing, tank_step
@@ -135,22 +135,14 @@ class Handover:
             value = getattr(self, name)
             if value is None and name == "soft":
                 continue
-            each = tuple([number(name, one, low=low, above=above, high=high)
-                          for one in (value if isinstance(value, tuple) and name in PER_AXIS else (value,))])
-            object.__setattr__(self, name, each if isinstance(value, tuple) else each[0])
+            convert = numbers if name in PER_AXIS else number
+            object.__setattr__(self, name, convert(name, value, low=low, above=above, high=high))
         if not isinstance(self.motor, bool):
             raise Refused(f"motor must be True or False, not {self.motor!r}; write motor=False where there is none")
 
-    def of_axis(self, name: str, axes: int) -> tuple[float, ...]:
-        """A number of each of so many axes. Raises `Refused`."""
-        value = getattr(self, name)
-        if isinstance(value, tuple) and len(value) != axes:
-            raise WrongCount(name, value, axes)
-        return value if isinstance(value, tuple) else (value,) * axes
-
     def pulls(self, dt: float, axes: int) -> tuple[Pull, ...]:
         """Coefficients of each axis, at a tick of `dt` s."""
-        of = {name: self.of_axis(name, axes) for name in PER_AXIS}
+        of = {name: by_axis(name, getattr(self, name), axes) for name in PER_AXIS}
         return tuple([Pull(of["Kp"][i], of["Bp"][i], of["f_max"][i], of["slew"][i] * dt, of["leap"][i],
                            following(dt, self.bandwidth, of["most_speed"][i])) for i in range(axes)])
 
@@ -201,7 +193,6 @@ class Handover:
 
 
 PER_AXIS = ("Kp", "Bp", "f_max", "slew", "most_speed", "leap")
-assert {*PER_AXIS} <= {field.name for field in fields(Handover)}
 
 
 class Actions(NamedTuple):

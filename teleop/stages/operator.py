@@ -76,7 +76,7 @@ from itertools import pairwise
 from math import inf
 from typing import Any, ClassVar, NamedTuple
 
-from teleop.errors import Refused, WrongCount, number, number_of
+from teleop.errors import Refused, by_axis, number, number_of, numbers
 from teleop.kind import positions
 from teleop.law import At, messages
 from teleop.physics.rotation import apart_after, log
@@ -151,9 +151,7 @@ class Operator:
         for name, low in (("closes_within", None), ("align", 0.0), ("align_most", None)):
             value = getattr(self, name)
             if value is not None:
-                each = [number(name, one, low=low, above=0.0 if low is None else None)
-                        for one in (value if isinstance(value, tuple) else (value,))]
-                object.__setattr__(self, name, tuple(each) if isinstance(value, tuple) else each[0])
+                object.__setattr__(self, name, numbers(name, value, low=low, above=0.0 if low is None else None))
 
     def within(self, axes: int) -> tuple[float, ...]:
         """`closes_within` of each of so many axes, m or rad; inf where it is left out. Raises `Refused`."""
@@ -162,9 +160,7 @@ class Operator:
     def by_axis(self, name: str, axes: int, without: float) -> tuple[float, ...]:
         """A number of each of so many axes; `without`: where it is left out. Raises `Refused`."""
         value = getattr(self, name)
-        if isinstance(value, tuple) and len(value) != axes:
-            raise WrongCount(name, value, axes)
-        return value if isinstance(value, tuple) else (without if value is None else value,) * axes
+        return by_axis(name, without if value is None else value, axes)
 
     def check(self, scene: Any) -> None:
         """Refuse what the axes of a scene or its law have not. Raises `Refused`."""

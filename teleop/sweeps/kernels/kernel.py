@@ -24,7 +24,7 @@ from teleop.scene.scene import Scene
 from teleop.simulation.bodies import Bodies, reference_samples
 from teleop.simulation.felt import AT_END, AT_REST, OF_SLAVE, Basis, frame_of, resting
 from teleop.simulation.felt import figures as summed
-from teleop.simulation.metrics import given_out
+from teleop.simulation.metrics import energy_out
 from teleop.simulation.plan import Plan, link_plans, median_age
 from teleop.simulation.rest import Still
 from teleop.simulation.source import Lines, functions, lines
@@ -229,7 +229,7 @@ def figures(kernel: Kernel, rows: Sequence[RowInputs]) -> list[tuple[str, int, d
         values = dict(zip(kernel.gives, output.figures[:-1], strict=True))
         named = {name: values[name] for name in kernel.measures if name in values and name not in SWINGS}
         if "energy_out" in kernel.measures:
-            named["energy_out"] = given_out(values["E_port_min"])
+            named["energy_out"] = energy_out(values["E_port_min"])
         ran, frame = abs(output.ran), row.frame or kernel.frame
         named |= summed(kernel.measures, values, frame, ran, min(frame.last, ran))
         if row.still is not None and status == "ok":
