@@ -13,7 +13,7 @@ from teleop.errors import Refused
 from teleop.live.page.controls import Choice, Clutch, Controls, Drag, HandSwing, SwitchQueue, SwitchRequest, most_forces
 from teleop.live.page.rows import HandReference, RecordTail, RowMessages, Shaking
 from teleop.live.page.server import Clients, Requests, hand_position, sentence_message
-from teleop.live.page.session import Children, PageParts, Start, size_text
+from teleop.live.page.session import Children, PageParts, Start, lost_share, size_text
 from teleop.live.page.side_view import SideView
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
@@ -114,13 +114,7 @@ class Page:
         if self._restarting is not None:
             self._restarting.cancel()
             await asyncio.wait([self._restarting])
-        leaving = asyncio.create_task(self._children.stop())
-        passed = 1
-        while not leaving.done():
-            await asyncio.wait([leaving], timeout=0.05)
-            if self._interrupt.count > passed:  # a second one sets the forces to zero at once
-                passed = self._interrupt.count
-                self._children.interrupt(str(self._interrupt.name))
+        await self._children.leave(self._interrupt)
         assert self.clients is not None
         await self.clients.close("the page was stopped where it was started")
         for tail in [*self._tails.values(), *self._next_tails.values()]:
@@ -320,13 +314,10 @@ class Page:
         align = None if switch.again else self._clutch.aligned_position(self._tails)
         self._aligns = align is not None
         self._clutch.expect_switch(again=switch.again)
-        self._children.order({"order": "turn", "knobs": knobs}, "channel")
+        self._children.turn(knobs, folders, again=switch.again, align=align)
         for tail in self._next_tails.values():
             tail.close()
-        for e, name in NAMES.items():
-            self._next_tails[e] = RecordTail(folders[e])
-            self._children.order({"order": "turn", "knobs": knobs, "out": str(folders[e]), "again": switch.again,
-                                  "align": align if e == "m" else None}, name)
+        self._next_tails = {e: RecordTail(folders[e]) for e in NAMES}
         self._shaking.note_motion()
 
     def _align(self) -> None:
@@ -488,11 +479,9 @@ class Page:
         ends = {e: {key: value for key, value in self._live.get(e, {}).items() if key != "event"} for e in NAMES}
         worst = {key: max((numbers[key] for numbers in ends.values() if numbers.get(key) is not None), default=None)
                  for key in ("delay", "jitter", "skipped")}
-        losses = [ends[e]["loss"] - (ends[peer].get("skipped") or 0.0)  # what an end skipped, it did not send
-                  for e, peer in ("ms", "sm") if ends[e].get("loss") is not None]
         lost = next(iter(self._lost), self._silent)
         return json.dumps({
-            "type": "status", **ends, **worst, "loss": max(0.0, *losses) if losses else None,
+            "type": "status", **ends, **worst, "loss": lost_share(self._live),
             "switching": self._switches.under_way is not None, "idle": self._idle_at is not None, "free": self._free,
             "policy": None if self._scene.handover is None else self._policy,
             "written": self._written, "lost": None if lost is None else f"the {lost}", "scale": self._controls.scale,

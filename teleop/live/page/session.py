@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from teleop.errors import Refused
 from teleop.live.child import Child, arguments_of
+from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge
 from teleop.live.records.reader import FILE
@@ -89,11 +90,28 @@ class Children:
             if name in self._alive:
                 self._alive[name].order(order)
 
-    def interrupt(self, name: str) -> None:
-        """Pass a signal on to the two ends."""
-        for end in ("master", "slave"):
-            if end in self._alive:
-                self._alive[end].interrupt(name)
+    def turn(self, knobs: Mapping[str, str], folders: Mapping[str, Path], *, again: bool,
+             align: Sequence[float] | None = None) -> None:
+        """Order all three to go on with these knobs, and the ends m and s to write into `folders`.
+
+        `again`: from the scene's start; `align`: place to which the hand first brings the master, m per axis.
+        """
+        self.order({"order": "turn", "knobs": knobs}, "channel")
+        for e, name in NAMES.items():
+            self.order({"order": "turn", "knobs": knobs, "out": str(folders[e]), "again": again,
+                        "align": align if e == "m" else None}, name)
+
+    async def leave(self, interrupt: Interrupt) -> None:
+        """Stop all in order; a second signal meanwhile is passed on to the two ends, which set their forces to zero."""
+        ends = [self._alive[name] for name in ("master", "slave") if name in self._alive]
+        leaving = asyncio.create_task(self.stop())
+        passed = 1
+        while not leaving.done():
+            await asyncio.wait([leaving], timeout=0.05)
+            if interrupt.count > passed:
+                passed = interrupt.count
+                for end in ends:
+                    end.interrupt(str(interrupt.name))
 
     async def stop(self) -> None:
         """Stop all in order: the two ends, then the channel between them. A process that does not leave is killed."""
@@ -133,6 +151,12 @@ class Children:
         if child.listening.exception() is None:  # or else who waits for its port says so
             sentence = (child.done or {}).get("sentence")
             self._lose(child.name, str(sentence or child.failed(code, errors)))
+
+
+def lost_share(live: Mapping[str, Mapping[str, Any]]) -> float | None:
+    """The greater share of packets that were lost on a way, by the newest event `live` of each end; None: not known."""
+    return max((max(0.0, live[e]["loss"] - (live.get(peer, {}).get("skipped") or 0.0))  # what it skipped was not sent
+                for e, peer in ("ms", "sm") if live.get(e, {}).get("loss") is not None), default=None)
 
 
 UNITS = {"kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12}

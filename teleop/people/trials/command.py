@@ -6,13 +6,13 @@ import asyncio
 import shutil
 import time
 from argparse import Namespace
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from secrets import randbits
 from tempfile import mkstemp
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from teleop.errors import Refused
 from teleop.live.devices.opening import find_device
@@ -34,6 +34,10 @@ from teleop.people.trials.rig import Rig, private_folder
 from teleop.scene.scene import Scene
 from teleop.terminal.answer import Answer
 from teleop.terminal.table import duration, facts
+
+if TYPE_CHECKING:  # both need websockets
+    from teleop.live.page.server import Clients
+    from teleop.people.trials.conduct import TrialConduct
 
 DOCUMENT = Path(__file__).with_name("screen.html")
 LAST = "study.json"  # port and token of the last screen
@@ -86,18 +90,37 @@ def run(args: Namespace, head: Callable[[StudyPlan, str], dict[str, Any]]) -> An
                 f"{size_text(needed)} on the disk")
             start = Start(plan.scene, plan.seed + number, args.realtime, device=args.device)
             rig = Rig(start, shared_knobs(plan), records, partial(_note_trouble, study, number))
-            session = _Served(interrupt, rig)
-            session.clients = Clients(Requests(page_bytes(DOCUMENT), token), session, time.monotonic, shapes=SHAPES,
-                                      longest=1 << 16, most=1)
-            session.conduct = TrialConduct(
-                study, number, journal, rig, controls, now=time.monotonic, show=session.clients.show,
-                tell=session.clients.tell, report=say, mark=mark, device=args.device)
-            asyncio.run(session.run(port, partial(begin_page, token, way, last_page=LAST)))
+            conduct = TrialConduct(
+                study, number, journal, rig, controls, now=time.monotonic, report=say, mark=mark, device=args.device,
+                show=lambda text: clients.show(text),  # noqa: PLW0108 - their host is the conduct, made first
+                tell=lambda text: clients.tell(text))  # noqa: PLW0108 - as above
+            clients = Clients(Requests(page_bytes(DOCUMENT), token), conduct, time.monotonic, shapes=SHAPES,
+                              longest=1 << 16, most=1)
+            asyncio.run(_serve(clients, conduct, rig, interrupt, port, partial(begin_page, token, way, last_page=LAST)))
     finally:
         shutil.rmtree(records, ignore_errors=True)
         if way is not None:
             way.unlink(missing_ok=True)
     return _answer(study, number, head)
+
+
+async def _serve(clients: Clients, conduct: TrialConduct, rig: Rig, interrupt: Interrupt, port: int,
+                 listening: Callable[[int], None]) -> None:
+    """Serve until the session is over or a signal comes."""
+    listening(await clients.serve(port))
+    rig.begin()
+    try:
+        due = time.monotonic()
+        while interrupt.name is None and not conduct.is_over:
+            rig.read()
+            conduct.step(time.monotonic())
+            due = max(due + PERIOD, time.monotonic())
+            await asyncio.sleep(due - time.monotonic())
+        if conduct.is_over:
+            await asyncio.sleep(OVER)
+    finally:
+        await rig.leave(interrupt)
+        await clients.close("the session was ended where it was started")
 
 
 def _answer(study: Study, number: int, head: Callable[[StudyPlan, str], dict[str, Any]]) -> Answer:
@@ -161,48 +184,3 @@ def _note_trouble(study: Study, number: int, sentence: str) -> None:
     with suppress(OSError), private_file(path) as file:
         file.write(f"{sentence}\n".encode())
     say(f"slave, channel and master are started again; {path} says why, and may name a condition")
-
-
-class _Served:
-    """A session that is served. `clients` and `conduct` are set before `run`."""
-
-    def __init__(self, interrupt: Interrupt, rig: Rig) -> None:
-        self.clients: Any = None
-        self.conduct: Any = None
-        self._interrupt, self._rig = interrupt, rig
-
-    def greeting(self) -> list[str]:
-        """The messages for a screen that has just been opened."""
-        messages: list[str] = self.conduct.greeting()
-        return messages
-
-    def hear(self, page: Hashable, message: dict[str, Any]) -> None:
-        """Take a message of the screen. Raises `Garbage` or `Refused`."""
-        self.conduct.hear(page, message)
-
-    def forget(self, page: Hashable) -> None:
-        """Take note that the screen is gone."""
-        if not self.conduct.is_over:
-            self.conduct.forget(page)
-
-    async def run(self, port: int, listening: Callable[[int], None]) -> None:
-        """Serve until the session is over or a signal comes."""
-        listening(await self.clients.serve(port))
-        self._rig.begin()
-        try:
-            due = time.monotonic()
-            while self._interrupt.name is None and not self.conduct.is_over:
-                self._rig.read()
-                self.conduct.step(time.monotonic())
-                due = max(due + PERIOD, time.monotonic())
-                await asyncio.sleep(due - time.monotonic())
-            await asyncio.sleep(OVER)
-        finally:
-            leaving = asyncio.create_task(self._rig.stop())
-            passed = 1
-            while not leaving.done():
-                await asyncio.wait([leaving], timeout=0.05)
-                if self._interrupt.count > passed:  # a second one sets the forces to zero at once
-                    passed = self._interrupt.count
-                    self._rig.interrupt(str(self._interrupt.name))
-            await self.clients.close("the session was ended where it was started")

@@ -16,6 +16,7 @@ from typing import Any
 from teleop.errors import Refused
 from teleop.live.page.controls import OPEN_ENDED, Controls, Drag
 from teleop.live.page.server import HAND, MessageShape, hand_position, sentence_message
+from teleop.live.page.session import lost_share
 from teleop.people.felt import STIFFNESS, with_stiffness
 from teleop.people.journal import Journal, of_kind
 from teleop.people.plan import QuestionKind, StudyQuestion, TaskKind
@@ -437,11 +438,9 @@ def measured(outcome: TrialOutcome, movements: Sequence[Movement], live: Mapping
     """The outcome of a trial with what was measured in its intervals: of two the worse, of the movement the last."""
     last = movements[-1]
     delays = [each.delay for each in movements if each.delay is not None]
-    losses = [max(0.0, live[e]["loss"] - (live[peer].get("skipped") or 0.0))  # what an end skipped, it did not send
-              for e, peer in ("ms", "sm") if peer in live and live.get(e, {}).get("loss") is not None]
     return replace(outcome, time=last.time if outcome.time is None else outcome.time, end=last.end,
                    overshoot=last.overshoot, peak_force=max(each.peak_force for each in movements),
-                   delay=max(delays, default=None), loss=max(losses, default=None),
+                   delay=max(delays, default=None), loss=lost_share(live),
                    skipped=max(each.skipped for each in movements))
 
 

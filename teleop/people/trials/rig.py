@@ -17,6 +17,7 @@ from teleop.errors import Refused
 from teleop.live.page.controls import PROCESSES
 from teleop.live.page.rows import HandReference, RecordTail, positions_of
 from teleop.live.page.session import Children, Start
+from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.reader import IDLE, Row
 from teleop.storage.strict_json import Misshapen
@@ -73,18 +74,14 @@ class Rig:
         finally:
             self._starting = None
 
-    async def stop(self) -> None:
-        """End the three in order."""
+    async def leave(self, interrupt: Interrupt) -> None:
+        """End the three in order; a second signal meanwhile sets the forces to zero at once."""
         if self._starting is not None:
             self._starting.cancel()
             await asyncio.wait([self._starting])
         self.lost = True
-        await self._children.stop()
+        await self._children.leave(interrupt)
         self._close()
-
-    def interrupt(self, name: str) -> None:
-        """Pass a signal on to the two ends."""
-        self._children.interrupt(name)
 
     # from trial to trial
 
@@ -92,10 +89,7 @@ class Rig:
         """Begin the turn to a trial: the force falls, the bodies go back to the scene's start, the law begins anew."""
         folders = self._next_folders()
         self._waiting, self._released, self._home = set(PROCESSES), set(), home
-        self._children.order({"order": "turn", "knobs": dict(knobs)}, "channel")
-        for e, name in NAMES.items():
-            self._children.order({"order": "turn", "knobs": dict(knobs), "out": str(folders[e]), "again": True,
-                                  "align": None}, name)
+        self._children.turn(knobs, folders, again=True)
         self._children.order({"order": "clutch", "open": False}, *ENDS)
         self._follow(folders)
 

@@ -2,7 +2,7 @@
 
 It writes a record of the scene's columns, one row a tick of 1 ms, and answers orders; what it was told stands in
 `orders-NAME.jsonl` beside its part. With `FAKE_NAME` in the environment it behaves otherwise: `refuses` each turn,
-`deaf`: answers none, `crashes` when it is turned, `fails`: never comes up.
+`deaf`: answers none, `crashes` when it is turned, `fails`: never comes up, `lingers` until a second signal.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def main() -> None:
         signal.signal(number, lambda number, _: over.append(number))
     fake = Fake(name, manner, args.out, dict(each.split("=", 1) for each in args.set))
     tell("listening", address="127.0.0.1:1", port=4321, realtime=None)
-    while not over:
+    while len(over) < (2 if manner == "lingers" else 1):
         if select.select([0], [], [], 0.005)[0] and not fake.hear():
             break
         if name in COLUMNS:

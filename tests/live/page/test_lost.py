@@ -12,8 +12,10 @@ from pathlib import Path
 import pytest
 
 from teleop.errors import Refused
+from teleop.live.page.session import Children, Start
+from teleop.live.process.interrupt import Interrupt
 from teleop.protocol.states import Cause
-from tests.live.page.conftest import Served
+from tests.live.page.conftest import FAKE, Served
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.live
@@ -192,6 +194,30 @@ def test_a_turn_that_nobody_answers_is_given_up(served: Serve, monkeypatch: pyte
             assert (await browser.until("hello"))["law"] == "wave"
 
     served(scenario)
+
+
+def test_a_second_signal_while_the_ends_leave_reached_neither_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_MASTER", "lingers")
+    monkeypatch.setattr("teleop.live.page.session.LEAVE", PATIENCE)
+
+    async def scenario() -> int | None:
+        is_up = asyncio.Event()
+        children, interrupt = Children(Start("hard_wall", 0, program=FAKE), lambda name, _: (
+            is_up.set() if name == "master" else None), print), Interrupt()
+        await children.start({}, {"m": tmp_path / "01" / "master", "s": tmp_path / "01" / "slave"})
+        await is_up.wait()
+        slave, master = (children._alive[name].process for name in ("slave", "master"))
+        interrupt.name, interrupt.count = "SIGINT", 1
+        leaving = asyncio.create_task(children.leave(interrupt))
+        await slave.wait()
+        assert master.returncode is None
+        interrupt.count = 2
+        await leaving
+        return master.returncode
+
+    assert asyncio.run(scenario()) == 0, "it left, and was not killed"
 
 
 def test_children_that_do_not_come_up_end_it_with_their_sentence(
