@@ -109,7 +109,7 @@ def before_others(*, wanted: bool) -> Iterator[None]:
 
 
 def page_bytes(document: Path = FOLDER / "page.html") -> bytes:
-    """Read a document with its style and its scripts, each in the place of the name that stands for it there.
+    """Read a document with its head, style and scripts, each in the place of the name that stands for it there.
 
     They lie beside it, or here.
     """
@@ -117,7 +117,7 @@ def page_bytes(document: Path = FOLDER / "page.html") -> bytes:
         beside = document.with_name(name[1])
         return (beside if beside.is_file() else FOLDER / name[1]).read_text()
 
-    return re.sub(r"\{\{([a-z]+\.(?:css|js))\}\}", part, document.read_text()).encode()
+    return re.sub(r"\{\{([a-z]+\.(?:css|html|js))\}\}", part, document.read_text()).encode()
 
 
 def _check(args: Namespace) -> None:

@@ -1,5 +1,5 @@
 /* -- the hand ----------------------------------------------------------------------------------------------------- */
-let drag = null, target = null, due = false, lastSent = 0, lastMoved = 0, lastTurn = 0, pad = false;
+let drag = null, target = null, due = false, lastSent = 0, lastMoved = 0, lastTurn = 0;
 function base() {  // where the hand's reference is: what was asked for just now, or what the server shows
   return target || (row ? row.hand || row.xm : null);
 }

@@ -1,4 +1,4 @@
-const SLOW = 8, SHOWN = 10, KEPT = 18e3, LANE = 7, EVERY = .08;  // packets' slowness; s of strips; rows; px between the ways; s between packets drawn
+const SHOWN = 10, KEPT = 18e3;  // s of strips; rows
 const bytes = n => { const k = n >= 1e9 ? 3 : n >= 1e6 ? 2 : 1; return +(n / 1e3 ** k).toPrecision(3) + " " + ["kB", "MB", "GB"][k - 1]; };
 let rows = [], status = {};
 const HELLO = "The demo runs again, and this page shows it.", ENDED = "Start it again with `teleop demo --page`, and this page comes back by itself.";
@@ -203,7 +203,7 @@ onkeyup = event => { if ("cC Enter".includes(event.key)) setClutch(false); };
 onblur = () => setClutch(false);
 document.onvisibilitychange = () => { if (document.hidden) setClutch(false); };
 ongamepadconnected = () => { pad = true; say("info", "A gamepad is connected: its stick moves the hand, its first button is the clutch."); };
-let padClutch = false;
+let pad = false, padClutch = false;
 function gamepad(dt) {
   for (const one of navigator.getGamepads()) {
     if (!one || !row) continue;

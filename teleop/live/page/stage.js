@@ -82,6 +82,7 @@ function curve(a, b, p) {  // the link's middle line from the master's a to the 
   const cy = flat ? a[1] : (a[1] + b[1]) / 2, dy = flat ? b[1] : (a[1] + b[1]) / 2;
   return [q * q * q * a[0] + 3 * q * q * p * cx + 3 * q * p * p * dx + p * p * p * b[0], q * q * q * a[1] + 3 * q * q * p * cy + 3 * q * p * p * dy + p * p * p * b[1]];
 }
+const SLOW = 8, LANE = 7, EVERY = .08;  // of the packets: slowness; px between the ways; s between two
 function linkAndPackets(a, b, dt) {
   const off = way => hello.axes > 1 ? [0, way ? LANE : -LANE] : [way ? LANE : -LANE, 0], cut = lost || !row.age || row.age.includes(null);
   g.setLineDash(cut ? [3, 9] : []);

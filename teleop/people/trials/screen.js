@@ -1,5 +1,5 @@
 const HELLO = "", ENDED = "Please ask the experimenter.", WORDS = ["handle", "robot"];
-const LANE = 7, SLOW = 8, EVERY = .08, status = {}, ofAll = to => to, newton = () => "";
+const ofAll = to => to;
 let screen = {screen: ""}, since = 0, measuring = [];
 const finished = () => document.body.className === "over", dropped = () => { drag = null; target = null; };
 const heard = {
