@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("websockets", reason="the extra `page` is not installed")
 
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from teleop import load_result
@@ -106,6 +107,8 @@ def test_stop_takes_the_force_away_and_whoever_withdraws_then_leaves_nothing(tmp
             while not pressing.get("xm", [0.0])[0] > 0.035:  # beyond the wall's surface
                 pressing = json.loads(socket.recv(PATIENCE))
                 socket.send(json.dumps({"type": "hand", "to": [0.06]}))
+            with screen_of(session) as second, pytest.raises(ConnectionClosed, match="1 page is open already"):
+                second.recv(PATIENCE)
             socket.send(json.dumps({"type": "stop"}))
             until(lambda: newest_force(tmp_path / "study") == 0.0, "the force stays")
             rows = read_journal(tmp_path / "study" / "sub-01" / "journal.jsonl")

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from websockets.datastructures import Headers
@@ -19,7 +20,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
-from teleop.live.page.command import page_bytes
+from teleop.live.page.command import FOLDER, page_bytes
 from teleop.live.page.server import Requests
 
 LAWS = {
@@ -91,10 +92,10 @@ class World:
 class Mock:
     """The server of one page address, `url`; its scene runs in a thread until `stop`, and has run for `ran` s before.
 
-    By then the scene's own motion is over.
+    By then the scene's own motion is over. `document`: another than the page, as the screen of a trial.
     """
 
-    def __init__(self, axes: int = 1, port: int = 0, ran: float = 3.1) -> None:
+    def __init__(self, axes: int = 1, port: int = 0, ran: float = 3.1, document: Path = FOLDER / "page.html") -> None:
         self.knobs: dict[str, Any] = {"law": "wave", "delay": 0.05, "jitter": 0.0, "loss": 0.0, "k_e": 2e4}
         self.world, self.heard, self.past = World(axes, self.knobs), [], deque(maxlen=600)
         well = {"gain": 1.0, "cause": None}
@@ -105,7 +106,7 @@ class Mock:
         self.silent = False  # it stands still, with its sockets open
         while self.world.t < ran:
             self.past.append(self.world.rows())
-        self.requests = Requests(page_bytes(), "mock")  # as the page's own server answers
+        self.requests = Requests(page_bytes(document), "mock")  # as the page's own server answers
         self.server: Server = serve(self._client, "127.0.0.1", port, process_request=self._request,
                                     open_timeout=2, close_timeout=0.2)
         self.port = self.server.socket.getsockname()[1]
@@ -173,7 +174,7 @@ class Mock:
                 self.world.clutch = message["open"]
             elif message["type"] == "scale":
                 self.status = {**self.status, "scale": message["to"]}
-            else:
+            elif message["type"] in ("again", "turn"):
                 if message["type"] == "again":
                     self.world.again()
                 self.knobs.update({name: value for name, value in message.items() if name != "type"})
