@@ -69,7 +69,8 @@ def test_in_a_silence_the_arm_stays_where_it_is_and_after_a_stop_its_weight_is_l
     events = read_events(tmp_path / "s")
     assert any(each["what"] == "safe" for each in events)
     (zero,) = (each["why"] for each in events if each["what"] == "zero")
-    assert "and the arm's weight lowered in 0.0" in zero, zero
+    lowered = zero.partition("and the arm's weight lowered in ")[2]
+    assert 0.04 < float(lowered.removesuffix(" s")) < 2.0, zero  # along its ramp, however late ticks were
     trace: Any = load_result(tmp_path / "s").trace
     settled = trace["t"] > 0.5
     way = trace["x_s"][settled]

@@ -64,7 +64,6 @@ def test_the_numbers_of_a_servo_are_found_within_their_uncertainty_and_its_reach
             assert found.errors[name] < 0.05 * true, name
 
 
-@pytest.mark.full
 def test_a_joint_that_is_stuck_is_no_servo() -> None:
     wanted = goals(0.1, 0.0)
     dice = np.random.Generator(np.random.Philox(1))
@@ -82,10 +81,15 @@ def test_the_command_writes_a_file_that_the_scene_reads_and_another_arm_refuses(
     opened(Physics(servos, (scene.slave,), (None,)))
     asked = ["identify", "robot", f"feetech:{servos.port}?timeout=80", str(tmp_path / "one.py"), "--reach", "0.1",
              "--inertia", "0.038", "--out", str(file)]
-    until(lambda: main(asked) == 0)  # a busy machine asks late, and does it again
+
+    def measured() -> bool:
+        """True of a record that no busy machine made late: each is fitted anew."""
+        file.unlink(missing_ok=True)
+        return main(asked) == 0 and pytest.approx(17.8, rel=0.25) == servos_of_file(file, 1, drive="mass")[0].K
+
+    until(measured, "the stiffness of the stand-in was never found")
     assert "N m/rad" in capsys.readouterr().out
     servo, = servos_of_file(file, 1, drive="mass")
-    assert pytest.approx(17.8, rel=0.5) == servo.K
     assert servo.lateness(1e-3) > 0.0
     assert main(asked) != 0
     assert "is there already" in capsys.readouterr().err

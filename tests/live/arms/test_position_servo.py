@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -185,22 +184,19 @@ def scene(*, law: Law = PDamped(K=10.0, B=0.4), drive: str = "mass", duration: f
 
 @pytest.fixture
 def pressing(opened: Callable[..., Any], command: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
-    """`pressing(law, drive)`: a joint of a stand-in before a wall, and both ends of a live run."""
+    """`pressing(law, drive, folder)`: a joint of a stand-in before a wall, and both ends of a live run."""
     pytest.importorskip("scservo_sdk", reason="the extra `feetech` is not installed")
     (tmp_path / "one.py").write_text(SCENE)
 
-    starts = count()
-
-    def start(law: str, drive: str, duration: float = 6.0) -> tuple[Physics, Any, Any]:
-        number = next(starts) or ""
+    def start(law: str, drive: str, folder: str, duration: float = 6.0) -> tuple[Physics, Any, Any]:
         scene = load_scene(str(tmp_path / "one.py"), law=law, drive=drive)
         servos = opened(Feetech((1,)))
         physics = opened(Physics(servos, (scene.slave,), (scene.environment,)))
         knobs = (str(tmp_path / "one.py"), "--set", f"law={law}", "--set", f"drive={drive}", "--set",
                  f"duration={duration}", "--json")
-        slave = command("slave", *knobs, "--listen", "127.0.0.1:0", "--out", f"slave{number}", "--robot",
+        slave = command("slave", *knobs, "--listen", "127.0.0.1:0", "--out", f"{folder}/slave", "--robot",
                         f"feetech:{servos.port}?timeout=80")
-        master = command("master", *knobs, "--peer", f"127.0.0.1:{slave.port()}", "--out", f"master{number}")
+        master = command("master", *knobs, "--peer", f"127.0.0.1:{slave.port()}", "--out", f"{folder}/master")
         return physics, master, slave
 
     return start
@@ -212,14 +208,14 @@ def test_what_a_servo_touches_is_felt_live(
     law: str, drive: str, pressing: Callable[..., Any], tmp_path: Path
 ) -> None:
     tried = []
-    for attempt in range(5):  # on a busy machine a bus is late, and an end leaves or its arm lags
-        physics, master, slave = pressing(law, drive)
+    for attempt in "abcde":  # on a busy machine a bus is late, and an end leaves or its arm lags
+        physics, master, slave = pressing(law, drive, attempt)
         touches = []
         while master.process.poll() is None:
             touches.append(physics.touch(0))
             time.sleep(0.01)
         codes = [end.end()[0] for end in (master, slave)]
-        felt = load_result(tmp_path / f"master{attempt or ''}").trace["f_m"][-3000:]
+        felt = load_result(tmp_path / attempt / "master").trace["f_m"][-3000:]
         # Medians, for the arm moves at first and when it is let go.
         pressed = float(np.median([each for each in touches if each > 0.3] or [0.0]))
         if codes == [0, 0] and min(felt) > 0.3 and abs(np.median(felt) - pressed) < 0.08:
@@ -229,11 +225,13 @@ def test_what_a_servo_touches_is_felt_live(
 
 
 def test_a_servo_whose_end_is_killed_in_contact_presses_on_no_more(pressing: Callable[..., Any]) -> None:
-    while True:  # an end may leave on a busy machine, for its bus is late
-        physics, master, slave = pressing("pp(K=10.0, B=0.4)", "offset", 20.0)
+    for attempt in "abcde":  # an end may leave on a busy machine, for its bus is late
+        physics, master, slave = pressing("pp(K=10.0, B=0.4)", "offset", attempt, 20.0)
         until(lambda physics=physics, slave=slave: physics.touch(0) > 0.5 or slave.process.poll() is not None)
         slave.process.kill()
         if physics.touch(0) > 0.5:
             break
         master.process.kill()
+    else:
+        pytest.fail("it never pressed")
     until(lambda: physics.touch(0) < 0.05, "it pressed on")
