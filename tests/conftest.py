@@ -35,7 +35,7 @@ from xdist.scheduler import LoadScopeScheduling
 from tests.programs import uses_programs
 
 ASKED_FOR = {"soak": "takes minutes", "fuzz": "takes minutes", "house": "is a job of its own",
-             "docs": "is a job of its own", "full": "is held by one law here, by every law there"}
+             "docs": "is a job of its own", "full": "is a repetition, or takes seconds"}
 TIMED = (
     "tests/live/", "tests/channel/test_relay_process.py", "tests/teleop/bench/",
 )

@@ -122,7 +122,6 @@ def test_in_the_open_nothing_from_outside_is_seen_in_a_run(e: str, ticks: int, o
     is_flat(fire, ticks)
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("ticks", FORMS)
 @pytest.mark.parametrize("e", "ms")
 def test_in_the_open_forged_messages_of_the_session_itself_pass_no_cap_and_end_no_run(
@@ -149,7 +148,6 @@ def test_in_the_open_forged_messages_of_the_session_itself_pass_no_cap_and_end_n
     is_flat(fire, ticks)
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("ticks", FORMS)
 @pytest.mark.parametrize("e", "ms")
 def test_an_end_that_waits_for_the_other_answers_no_more_than_it_is_asked(

@@ -240,7 +240,6 @@ def test_a_message_is_played_at_its_tick_by_a_fixed_playout_whichever_end_is_in_
     assert holds_what_the_law_says(log, -1.0) > 20
 
 
-@pytest.mark.full
 def test_a_grid_that_begins_later_made_the_end_in_c_deaf_until_then(in_c: InC) -> None:
     """Tick 0 may be three minutes ahead: it slept until then, and took neither datagram nor SIGTERM."""
     slave = in_c.start("slave", 0, PP, "c.csv")

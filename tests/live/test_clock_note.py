@@ -70,7 +70,6 @@ def test_clocks_that_came_apart_in_an_earlier_session_are_told_of_too() -> None:
     assert re.search(r"goes (2,9|3,0)\d\d ppm slower", note)
 
 
-@pytest.mark.full
 def test_the_summary_has_the_note(tmp_path: Path) -> None:
     both = world(3000.0)
     for e in "ms":

@@ -367,7 +367,6 @@ def test_an_end_that_ends_cleanly_takes_its_watchdog_with_it_and_is_not_zeroed(s
     assert one.motor.zeroed_ns == 0 or acted, "without a stall of this machine"
 
 
-@pytest.mark.full
 def test_two_ends_do_not_drive_one_device_and_a_watchdog_outlives_every_signal_that_can_be_ignored(
     site: Callable[..., Site]
 ) -> None:
@@ -401,7 +400,6 @@ def test_an_end_whose_watchdog_was_killed_lets_go_and_says_so(site: Callable[...
     assert one.motor.force == 0.0
 
 
-@pytest.mark.full
 def test_an_end_that_is_started_again_is_never_zeroed_by_the_watchdog_of_the_one_before(
     site: Callable[..., Site]
 ) -> None:

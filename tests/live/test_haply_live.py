@@ -74,7 +74,6 @@ def test_a_run_with_an_inverse3_by_name(
     assert summary(tmp_path / "master")["status"] == "ok"
 
 
-@pytest.mark.full
 def test_a_service_that_is_started_again_in_a_run_is_found_again_and_let_go_of_by_a_master_that_is_killed(
     service: Callable[..., Service], command: Callable[..., Command], tmp_path: Path
 ) -> None:

@@ -85,7 +85,6 @@ def test_an_end_with_another_key_is_not_let_in(
     assert not (tmp_path / "m").exists()
 
 
-@pytest.mark.full
 def test_what_goes_in_the_open_all_the_same_says_so_loudly(command: Callable[..., Any], tmp_path: Path) -> None:
     slave = command("slave", *SCENE, "--link", "none", "--listen", "0.0.0.0:0", "--insecure",
                     "--out", str(tmp_path / "s"))

@@ -250,7 +250,6 @@ def test_a_hung_driver_is_ended_by_one_signal_that_is_not_heeded(command: Make, 
     assert err.startswith("teleop: SIGINT came, and the device, asked for a reading, does not return; ")
 
 
-@pytest.mark.full
 def test_a_driver_that_hangs_even_for_zero_is_ended_and_the_force_is_said_to_be_on(
     command: Make, tmp_path: Path
 ) -> None:

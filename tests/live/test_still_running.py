@@ -130,7 +130,6 @@ def test_a_run_that_was_reported_while_it_ran_and_then_killed_stayed_at_that_tic
         assert result.sentence.startswith("the process ended without a word after tick 3499")
 
 
-@pytest.mark.full
 def test_a_run_that_has_not_ticked_yet_is_said_to_have_just_begun(start: Start, tmp_path: Path) -> None:
     start("m", tmp_path / "m")
     with pytest.raises(Refused, match="has not come to its first tick yet; ask again in a moment"):

@@ -204,7 +204,6 @@ def test_it_needs_no_numpy_so_it_says_what_is_installed_where_that_cannot_be_loa
     assert "matplotlib" in done.stdout
 
 
-@pytest.mark.full
 def test_it_clears_the_kernels_and_nothing_else(typed: Callable[..., Any], cache: Path) -> None:
     assert typed("doctor", "--clear").out.startswith("2 kernels removed")
     assert [path.name for path in cache.rglob("*") if path.is_file()] == ["notes.txt"]

@@ -47,7 +47,6 @@ def test_over_a_run_a_float_is_near_double_or_refused_and_double_has_every_bit(l
         assert off > 0.0, "it is in float"
 
 
-@pytest.mark.full
 def test_an_error_beyond_a_thousandth_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     program(*COMPILERS)
     assert re.fullmatch(r"Over a run of the canonical scene: .* by up to .* N, \de-0[67] of the greatest, [\d.]+ N\.",
