@@ -16,7 +16,14 @@ from typing import Any
 
 from slave.mujoco_pose import Robot, start_pose
 from teleop.errors import Refused
-from teleop.live.devices.arm_model import join_names, joint_units, load_mujoco, not_loaded, usable_joints
+from teleop.live.devices.arm_model import (
+    check_units,
+    join_names,
+    joint_units,
+    load_mujoco,
+    not_loaded,
+    usable_joints,
+)
 from teleop.scene.scene import Scene
 
 OWN, TURNS = (Path(__file__).parent / name for name in ("arm.xml", "wrist.xml"))  # the second of six joints, for turns
@@ -214,10 +221,7 @@ def _check_joints(mujoco: Any, scene: Scene, spec: Any, path: str) -> None:
         raise Refused(f"the scene's axes {', '.join(missing)} are no joints of {path} (it has {usable_joints(units)}), "
                       "and axes that are not joints are called x, y, z, all of them, translations of an end effector; "
                       "write --robot mujoco:FILE.xml with a model that has such joints, or names=(...) in the scene")
-    for name, unit in zip(scene.axis_names, scene.axis_units, strict=True):
-        if units[name] != unit:
-            raise Refused(f"the scene's axis {name} is in {unit}, and the joint {name} of {path} is in {units[name]}; "
-                          "write units=(...) in the scene, one for each axis")
+    check_units(scene, scene.axis_names, units, path)
 
 
 def _is_carried(mujoco: Any, body: Any) -> bool:

@@ -50,6 +50,14 @@ def joint_units(mujoco: Any, spec: Any) -> dict[str, str | None]:
     return {each.name: kinds.get(each.type) for each in spec.joints if each.name}
 
 
+def check_units(scene: Scene, joints: Sequence[str], units: dict[str, str | None], file: str) -> None:
+    """Refuse axes whose joints, one for each, have another unit in `file`."""
+    for axis, unit, joint in zip(scene.axis_names, scene.axis_units, joints, strict=True):
+        if units[joint] != unit:
+            raise Refused(f"the scene's axis {axis} is in {unit}, and the joint {joint} of {file} is in "
+                          f"{units[joint]}; write units=(...) in the scene, one for each axis")
+
+
 def usable_joints(units: dict[str, str | None]) -> str:
     """Return the hinges and slides as a sentence has them: "lift in rad, rail in m"."""
     return join_names([f"{name} in {unit}" for name, unit in units.items() if unit is not None])
@@ -157,10 +165,7 @@ class ArmModel:
             whose = "joints=" if typed else "the scene's axes"
             raise Refused(f"{whose} {', '.join(missing)} are no joints of {self.file} (it has {usable_joints(units)}); "
                           f"write ?joints= with {scene.axes} of them in the scene's order, or names=(...) in the scene")
-        for name, axis, unit in zip(self.names, scene.axis_names, scene.axis_units, strict=True):
-            if units[name] != unit:
-                raise Refused(f"the scene's axis {axis} is in {unit}, and the joint {name} of {self.file} is in "
-                              f"{units[name]}; write units=(...) in the scene, one for each axis")
+        check_units(scene, self.names, units, self.file)
 
     def _most(self) -> Any:
         """Find the greatest |h| of each joint among states that are drawn inside the limits."""
