@@ -235,22 +235,21 @@ def main() -> int:
     if unknown:
         print(f"bench: there is no bench {unknown.pop()!r}; there are {', '.join(BENCHES)}", file=sys.stderr)
         return 2
-    if args.busy and args.bench != ["live"]:
-        print("bench: --busy is an option of the bench live; type python -m teleop.bench live --busy", file=sys.stderr)
-        return 2
-    if args.model and args.bench != ["dynamics"]:
-        print("bench: --model is an option of the bench dynamics; type python -m teleop.bench dynamics --model "
-              "FILE.xml", file=sys.stderr)
-        return 2
+    for option, bench, typed in ((args.busy, "live", "--busy"), (args.against, "cost", "--against TREE"),
+                                 (args.model, "dynamics", "--model FILE.xml")):
+        if option and args.bench != [bench]:
+            print(f"bench: {typed.split()[0]} is an option of the bench {bench}; type python -m teleop.bench {bench} "
+                  f"{typed}", file=sys.stderr)
+            return 2
     if args.table and args.bench:
         print("bench: --table runs what the table needs; type python -m teleop.bench --table", file=sys.stderr)
         return 2
     if args.table:
         print(table(lambda name: _rows(name, sys.stderr, args.rounds)))
         return 0
+    options = {"busy": args.busy, "against": args.against, "models": args.model}
+    options = {name: value for name, value in options.items() if value}  # of the one bench that is named then
     for name in args.bench or BENCHES:
-        options = {"against": args.against} if name == "cost" and args.against else {"busy": True} if args.busy else (
-            {"models": args.model} if args.model else {})
         for what, value, bound in _rows(name, sys.stdout, args.rounds, **options):
             print(f"{what:<58} {value:<22} {bound}")
     return 0

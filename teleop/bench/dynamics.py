@@ -39,7 +39,7 @@ YARDSTICK_US = 30.0  # of a loop of 1000 multiplications and additions
 TICKS = 2000  # of which a tick's cost is the mean
 
 
-class Read:
+class Framed:
     """`device` as a motor's frames tell it: in counts, and a tick old."""
 
     def __init__(self, device: Any) -> None:
@@ -185,7 +185,7 @@ def _residuals(arm: Arm) -> list[Row]:
             ("  compensated", residual(arm.compensated(arm.robot()))),
             ("  and 0.9 of its friction", residual(arm.compensated(arm.robot(), friction=0.9))),
             ("  and read as a Damiao motor's frames, a tick old",
-             residual(arm.compensated(Read(arm.robot()), friction=0.9))),
+             residual(arm.compensated(Framed(arm.robot()), friction=0.9))),
             ("  by a model that is 5 % too light", residual(heavier))]
     head = (f"{arm.name}, {len(arm.home)} joints: rms of what a hand feels beside the arm without weight and friction",
             f"{_rms(ideal[later:]):.3g} N m itself", "")

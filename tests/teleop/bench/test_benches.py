@@ -127,10 +127,15 @@ def test_busy_loops_end_with_their_block() -> None:
     assert children() == before
 
 
-def test_only_the_live_bench_is_busy(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("sys.argv", ["bench", "flood", "--busy"])
-    assert bench.main() == 2
-    assert "python -m teleop.bench live --busy" in capsys.readouterr().err
+def test_an_option_of_one_bench_is_refused_beside_others(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for option, typed in ((["--busy"], "live --busy"), (["--against", "tree"], "cost --against TREE"),
+                          (["--model", "arm.xml"], "dynamics --model FILE.xml")):
+        for benches in (["flood"], [typed.split()[0], "flood"], []):
+            monkeypatch.setattr("sys.argv", ["bench", *benches, *option])
+            assert bench.main() == 2
+            assert capsys.readouterr().err.endswith(f"type python -m teleop.bench {typed}\n")
 
 
 def test_it_sweeps_the_built_in_law_and_both_copies_and_takes_them_away(monkeypatch: pytest.MonkeyPatch) -> None:
