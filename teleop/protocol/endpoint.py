@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from math import inf, isfinite
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from teleop.errors import Refused
 from teleop.law import law_name
@@ -34,7 +34,6 @@ from teleop.protocol.packet import (
     framed,
     unwrapped,
 )
-from teleop.protocol.policy import PolicyEvents, PolicyInput
 from teleop.protocol.reception import Presence, Reception
 from teleop.protocol.session import Session, renew_after
 from teleop.protocol.states import Cause, Reason
@@ -46,6 +45,9 @@ from teleop.simulation.structure import NAMES, SENSED, structure_of
 from teleop.simulation.tick import LiveTick
 from teleop.stages.end import CLUTCHES
 from teleop.stages.wave_integral import Integrals
+
+if TYPE_CHECKING:  # an end without a policy does not load it
+    from teleop.protocol.policy import PolicyEvents, PolicyInput
 
 Axes = tuple[float, ...]
 _NOTHING: Any = (None, None, None)  # message, energy and waves where none is played
@@ -192,7 +194,11 @@ class Endpoint:
         self.link = LinkEstimates(band_ns=scene.dt_ns // 2)
         self.presence = Presence(session, self.link, scene.dt_ns, self.every, self.guard.timeout_ns)
         self.held = HeldForce(scene, e, self.every, self.guard)
-        self.policy = PolicyInput(scene, dt) if scene.handover is not None and e == "m" else None
+        self.policy: PolicyInput | None = None
+        if scene.handover is not None and e == "m":
+            from teleop.protocol.policy import PolicyInput
+
+            self.policy = PolicyInput(scene, dt)
         self.witness: Witness | None = None
         self._dt_ns = scene.dt_ns
         self._tick = -1
@@ -218,7 +224,10 @@ class Endpoint:
         law = self._law = EndLaw(self.end_scene, e, sensor, self._origin)
         self.places = law.places
         self._switches = SwitchEvents(scene, law.names) if "clutch_m" in law.names else None
-        self._policy_events = PolicyEvents(scene, law.names) if self.policy is not None else None
+        if self.policy is not None:
+            from teleop.protocol.policy import PolicyEvents
+
+            self._policy_events = PolicyEvents(scene, law.names)
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
         """Take a datagram that came at `now`; the datagrams to send back at once. Never raises on any bytes.
