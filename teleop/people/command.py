@@ -122,7 +122,7 @@ def _power(plan: StudyPlan) -> tuple[dict[str, Any] | None, str]:
     is_within = plan.design is Design.WITHIN
     test = paired_power if is_within else unpaired_power
     n = plan.participants.least if is_within else plan.participants.least // len(plan.conditions)
-    needed, power = people_needed(test, plan.power.d_z, plan.power.power), test(plan.power.d_z, n, alpha)
+    needed, power = people_needed(test, plan.power.d_z, plan.power.power, alpha), test(plan.power.d_z, n, alpha)
     each = "" if is_within else " in each condition"
     enough = f"{n} people{each} find d = {plan.power.d_z:g} with a power of {power:.3f}; {needed} have " \
              f"{plan.power.power:g}"

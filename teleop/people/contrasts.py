@@ -18,10 +18,10 @@ Correction: S. Holm, "A simple sequentially rejective multiple test procedure", 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import exp, inf, isfinite, lgamma, nan, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,27 +168,27 @@ def _power(df: float, noncentral: float, alpha: float) -> float:
     return float(1.0 - functions.nctdtr(df, noncentral, t) + functions.nctdtr(df, noncentral, -t))
 
 
-def people_needed(power: Any, d: float, wanted: float, most: int = 100_000) -> int:
+def people_needed(power: Callable[[float, int, float], float], d: float, wanted: float, alpha: float = 0.05,
+                  most: int = 100_000) -> int:
     """The least n with this power of `paired_power` or `unpaired_power`; `most` if none has it.
 
     >>> people_needed(paired_power, 0.8, 0.8)
     15
     """
     low, high = 2, 4
-    while power(d, high) < wanted and high < most:
+    while power(d, high, alpha) < wanted and high < most:
         low, high = high, 2 * high
     while low < high:
         middle = (low + high) // 2
-        low, high = (low, middle) if power(d, middle) >= wanted else (middle + 1, high)
+        low, high = (low, middle) if power(d, middle, alpha) >= wanted else (middle + 1, high)
     return low
 
 
-def mean_interval(values: Mapping[int, float] | Sequence[float], alpha: float = 0.05) -> tuple[float, float, float]:
-    """Mean over people and its interval; NaN and no bounds where there are none."""
-    y = np.array([*(values.values() if isinstance(values, Mapping) else values)])
-    y = y[np.isfinite(y)]
-    if len(y) < 2:
-        return (float(y[0]) if len(y) else nan), -inf, inf
-    half = float(special().stdtrit(len(y) - 1, 1.0 - 0.5 * alpha)) * float(y.std(ddof=1)) / sqrt(len(y))
+def mean_interval(values: Sequence[float], alpha: float) -> tuple[float, float, float]:
+    """Mean over people and its interval, which has no bounds for one of them."""
+    y = np.array(values)
     mean = float(y.mean())
-    return (mean, mean - half, mean + half) if isfinite(mean) else (nan, -inf, inf)
+    if len(y) < 2:
+        return mean, -inf, inf
+    half = float(special().stdtrit(len(y) - 1, 1.0 - 0.5 * alpha)) * float(y.std(ddof=1)) / sqrt(len(y))
+    return mean, mean - half, mean + half

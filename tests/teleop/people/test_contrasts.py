@@ -44,6 +44,12 @@ def test_power_is_that_of_the_noncentral_t() -> None:
     assert unpaired_power(0.5, 64) == pytest.approx(0.801460, abs=5e-6)  # Cohen's table: 64 in each group
 
 
+def test_fewer_people_were_needed_than_a_smaller_alpha_asks_for() -> None:
+    for test, alpha in ((paired_power, 0.01), (unpaired_power, 0.001), (paired_power, 0.2)):
+        n = people_needed(test, 0.8, 0.9, alpha)
+        assert test(0.8, n - 1, alpha) < 0.9 <= test(0.8, n, alpha)
+
+
 def test_an_effect_size_has_the_interval_of_the_noncentral_t() -> None:
     for t, df in ((2.9, 10), (-4.413, 8), (0.3, 33), (12.0, 5)):
         low, high = noncentrality(t, df, 0.05)
@@ -89,7 +95,11 @@ def test_between_people_it_is_the_t_test_of_two_groups() -> None:
 
 
 def test_false_alarms_are_five_in_a_hundred_where_others_are_too_few_or_far_too_many() -> None:
-    """Two conditions, learning from place to place, no effect: 1500 studies of 12 people with 10 trials each."""
+    """Two conditions, learning from place to place, no effect: 1500 studies of 12 people with 10 trials each.
+
+    A paired t of numbers that learning has moved up in one half of the people and down in the other has a noncentral
+    chi2 below it: exactly a mixture of t by Poisson's weights. A fixed order has the learning as its effect.
+    """
     dice = np.random.default_rng(5)
     alarms = dict.fromkeys(("model", "paired t", "trials together", "fixed order"), 0)
     for _ in range(1500):
@@ -109,6 +119,11 @@ def test_false_alarms_are_five_in_a_hundred_where_others_are_too_few_or_far_too_
     shares = {name: count / 1500 for name, count in alarms.items()}
     assert shares["model"] == pytest.approx(0.05, abs=0.015)
     assert shares["paired t"] < 0.035
+    poisson = scipy.stats.poisson.pmf(np.arange(100), 0.5 * 12 * 0.4**2 / 0.5)
+    df = 11 + 2 * np.arange(100)
+    mixed = 2.0 * float(poisson @ scipy.stats.t.sf(scipy.stats.t.ppf(0.975, 11) * np.sqrt(df / 11.0), df))
+    for name, exact in (("paired t", mixed), ("fixed order", paired_power(0.4 / sqrt(0.5), 12))):
+        assert shares[name] == pytest.approx(exact, abs=4.0 * sqrt(exact * (1.0 - exact) / 1500)), name
     assert shares["trials together"] > 0.1
     assert shares["fixed order"] > 0.24
 
