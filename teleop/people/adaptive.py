@@ -5,7 +5,7 @@ correct answers at a level the next harder one, after each wrong answer the next
 2-down-1-up is where a step down is as likely as a step up, and holds for steps towards 0 alone. With levels at 0, s,
 2 s, ... standard deviations of the observer and its share of correct answers Phi(level), the trials at which the
 staircase turns have a mean level of .5751 for s = .25, where .7174 are correct, and the trials together .7141; for
-s = 1 it is .7727 (`chain`). So the answers are fitted, and a mean of reversals is never called 70.7 %.
+s = 1 it is .7727. So the answers are fitted, and a mean of reversals is never called 70.7 %.
 
 QUEST+ (A. B. Watson, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", J. Vision 17(3):10,
 2017): of all levels the one after which the entropy of the posterior is expected to be least; the first of those alike.
@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from math import erf, log, sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,11 @@ def phi(x: float) -> float:
     0.841345
     """
     return 0.5 * (1.0 + erf(x / sqrt(2.0)))
+
+
+def share_correct(x: float, w: float, lapse: float) -> float:
+    """The share of answers for the interval that is stiffer by x in ln of felt stiffness; x has a bias in it."""
+    return 0.5 * lapse + (1.0 - lapse) * phi(x / (sqrt(2.0) * w))
 
 
 def next_level(task: TrialTask, felt: Mapping[float, float], before: Sequence[Mapping[str, Any]]) -> float:
@@ -73,9 +78,7 @@ def staircase_index(levels: int, down: int, correct: Sequence[bool]) -> int:
 @lru_cache(maxsize=64)
 def likelihoods(ratios: tuple[float, ...]) -> Floats:
     """The share of correct answers of each level (by |ln| of its felt stiffness ratio) for each point of the grid."""
-    p = [[0.5 * lapse + (1.0 - lapse) * phi(ratio / (sqrt(2.0) * w)) for w in W_GRID for lapse in LAPSE_GRID]
-         for ratio in ratios]
-    return np.array(p)
+    return np.array([[share_correct(ratio, w, lapse) for w in W_GRID for lapse in LAPSE_GRID] for ratio in ratios])
 
 
 def quest_index(correct: Floats, answers: Sequence[tuple[int, bool]]) -> int:
@@ -93,42 +96,3 @@ def quest_index(correct: Floats, answers: Sequence[tuple[int, bool]]) -> int:
             entropy = -np.where(after > 0.0, after * np.log(after), 0.0).sum(axis=1)
         expected += np.where(share > 0.0, share * entropy, 0.0)
     return int(np.argmin(expected))
-
-
-class StaircaseChain(NamedTuple):
-    """Long run of a staircase; levels in standard deviations of the observer."""
-
-    turning: float  # mean level of the trials at which it turns
-    trial: float  # mean level of all trials
-    correct: float  # share of correct answers
-
-
-def chain(step: float, down: int = 2, easiest: float = 8.0) -> StaircaseChain:
-    """The long run of an n-down-1-up staircase over the levels 0, step, 2 step, ..., exact: a Markov chain.
-
-    Its states are the level, the correct answers in a row and the direction of the last step.
-    """
-    levels = np.arange(0.0, easiest, step)
-    n = len(levels)
-    share = np.array([phi(float(level)) for level in levels])
-    place = np.arange(n * down * 2).reshape(n, down, 2)  # last: 0 went down, 1 went up
-    moves = np.zeros((place.size, place.size))
-    turns = np.zeros(place.size)
-    for i, p in enumerate(share):
-        for streak in range(down):
-            for up in (0, 1):
-                here = place[i, streak, up]
-                moves[here, place[min(i + 1, n - 1), 0, 1]] += 1.0 - p
-                turns[here] += (1.0 - p) * (not up)
-                if streak < down - 1:
-                    moves[here, place[i, streak + 1, up]] += p
-                else:
-                    moves[here, place[max(i - 1, 0), 0, 0]] += p
-                    turns[here] += p * up
-    equations = moves.T - np.eye(place.size)
-    equations[-1] = 1.0
-    long_run = np.linalg.solve(equations, np.eye(place.size)[-1])
-    at = np.repeat(levels, down * 2)
-    turning = long_run * turns
-    return StaircaseChain(turning=float(turning @ at / turning.sum()), trial=float(long_run @ at),
-                 correct=float(long_run @ np.repeat(share, down * 2)))

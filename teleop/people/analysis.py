@@ -15,7 +15,7 @@ from typing import Any
 from teleop.people.contrasts import Contrast, Value, between, holm, mean_interval, within
 from teleop.people.fit import Answers, Fit, fit, grouped, with_interval
 from teleop.people.journal import of_kind
-from teleop.people.plan import ON_A_LOG_SCALE, Design, Exclusion, Measure, QuestionKind, StudyPlan
+from teleop.people.plan import ON_A_LOG_SCALE, Correction, Design, Exclusion, Measure, QuestionKind, StudyPlan
 from teleop.people.scores import throughput, tlx_raw, tlx_weighted, tlx_weights
 
 Row = Mapping[str, Any]
@@ -153,7 +153,7 @@ def _findings(plan: StudyPlan, felt: Felt, journals: Journals, pairs: Sequence[t
     alpha = plan.analysis.alpha
     contrasts = [each for pair in pairs if (each := test(values, *pair, alpha)) is not None]
     p = [each.p for each in contrasts]
-    p = holm(p) if plan.analysis.correction == "holm" else p
+    p = holm(p) if plan.analysis.correction is Correction.HOLM else p
     as_shown = exp if measure in ON_A_LOG_SCALE else float
     summaries = []
     for letter in sorted({each.condition for each in values}):

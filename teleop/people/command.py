@@ -7,24 +7,30 @@ from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields
 from importlib.util import find_spec
-from math import isfinite, log, sqrt
+from math import isfinite, log
 from pathlib import Path
 from typing import Any
 
 from teleop.errors import Refused, nearest, number_of
-from teleop.people.adaptive import phi
+from teleop.people.adaptive import share_correct
 from teleop.people.analysis import Analysed, Findings, analyse, every_pair
+from teleop.people.contrasts import paired_power, people_needed, unpaired_power
 from teleop.people.felt import check_levels, compliance, felt_stiffness, limen, with_stiffness
+from teleop.people.journal import NAME, Journal, of_kind, read_journal
 from teleop.people.plan import OF_TASK, ON_A_LOG_SCALE, UNITS, Design, Measure, StudyPlan
 from teleop.people.plan_file import read_plan
-from teleop.people.schedule import disk_of, seconds_of, trials_of
+from teleop.people.schedule import Trial, disk_of, seconds_of, trials_of
 from teleop.people.session import VISUAL, check_modality
 from teleop.people.simulated import Person, simulate_session
-from teleop.people.study import Study, check_lock, create_study, open_study, write_lock
+from teleop.people.study import LOOKS, Study, check_lock, create_study, intervals, open_study, write_lock
+from teleop.scene.loading import load_scene
 from teleop.simulation.result import versions
+from teleop.simulation.virtual import run
+from teleop.storage.folder import new_folder
 from teleop.terminal.answer import Answer, WithUnit, finite, with_units
 from teleop.terminal.plotting import asked_formats, save
 from teleop.terminal.progress import shown_for
+from teleop.terminal.run_table import table
 from teleop.terminal.table import columns, duration, facts
 
 
@@ -82,9 +88,7 @@ def _pointer_refusal(plan: StudyPlan) -> str | None:
 
 
 def _probability(plan: StudyPlan, felt: Mapping[float, float], level: float) -> float:
-    ratio = abs(log(felt[level] / felt[plan.task.standard]))
-    lapse = plan.simulated.lapse
-    return 0.5 * lapse + (1.0 - lapse) * phi(ratio / (sqrt(2.0) * plan.simulated.w))
+    return share_correct(abs(log(felt[level] / felt[plan.task.standard])), plan.simulated.w, plan.simulated.lapse)
 
 
 def _felt_document(plan: StudyPlan, felt: Mapping[str, Mapping[float, float]]) -> list[dict[str, Any]]:
@@ -102,13 +106,17 @@ def _felt_table(plan: StudyPlan, felt: Mapping[str, Mapping[float, float]]) -> s
         c = compliance(of, task.standard)
         for level, value in of.items():
             standard = level == task.standard
-            up, down = (limen(c, task.standard, w, z) for z in (1.0, -1.0))
-            jnds = ["none" if each is None else f"{each / task.standard - 1.0:+.1%}" for each in (up, down)]
             lines.append([name if level == min(of) else "", f"{level:g} N/m", f"{value:.1f} N/m",
                           "standard" if standard else f"{_probability(plan, of, level):.3f}",
-                          *(jnds if standard else ["", ""])])
+                          *(_limen_texts(c, task.standard, w) if standard else ["", ""])])
     return (columns(lines) + f"\nexpected with w = {w:g} and lapses of {plan.simulated.lapse:g} ([simulated]); "
             f"JND: of {task.knob}, at {task.standard:g} N/m, 84.1 % of answers correct")
+
+
+def _limen_texts(c: float, standard: float, w: float) -> list[str]:
+    """The difference limens of a wall's own stiffness, upwards and downwards."""
+    walls = [limen(c, standard, w, z) for z in (1.0, -1.0)]
+    return ["none" if wall is None else f"{wall / standard - 1.0:+.1%}" for wall in walls]
 
 
 def _power(plan: StudyPlan) -> tuple[dict[str, Any] | None, str]:
@@ -116,8 +124,6 @@ def _power(plan: StudyPlan) -> tuple[dict[str, Any] | None, str]:
         return None, "not asked for: write [power] and below it d_z = 0.8"
     if find_spec("scipy") is None:
         return None, "needs scipy; install it with: pip install 'bilateral-teleop[people]'"
-    from teleop.people.contrasts import paired_power, people_needed, unpaired_power
-
     alpha = plan.analysis.alpha
     is_within = plan.design is Design.WITHIN
     test = paired_power if is_within else unpaired_power
@@ -177,9 +183,10 @@ def analyse_command(args: Namespace) -> Answer:
     formats = asked_formats(args)
     study = open_study(args.folder)
     measure = study.plan.analysis.primary if args.measure is None else _measure(study.plan, args.measure)
-    check_modality(study.plan, measure, (row.get("modality") for _, rows in study.rows() for row in rows))
+    journals = [*study.rows()]
+    check_modality(study.plan, measure, (row.get("modality") for _, rows in journals for row in rows))
     study.write_tables()
-    analysed = analyse(study.plan, study.key.felt, study.rows(), contrast_pairs(study), measure)
+    analysed = analyse(study.plan, study.key.felt, journals, contrast_pairs(study), measure)
     if not analysed.before.trials:
         raise Refused(f"{study.folder} has no trials yet; run teleop study run, or teleop study simulate")
     document = {**_head(args, study.plan, f"{analysed.after.people} people"), "measure": analysed.measure.value,
@@ -265,9 +272,7 @@ def _limens(study: Study, findings: Findings) -> str:
     standard, sentences = study.plan.task.standard, []
     for each in findings.summaries:
         c = compliance(study.key.felt[each.letter], standard)
-        up, down = (limen(c, standard, each.mean, z) for z in (1.0, -1.0))
-        ends = ["none" if wall is None else f"{wall / standard - 1.0:+.1%}" for wall in (up, down)]
-        sentences.append(f"{study.label(each.letter)} {ends[0]} and {ends[1]}")
+        sentences.append(f"{study.label(each.letter)} {' and '.join(_limen_texts(c, standard, each.mean))}")
     return f"\nJND of {study.plan.task.knob} at {standard:g} N/m, 84.1 % correct: {'; '.join(sentences)}"
 
 
@@ -281,9 +286,6 @@ def _p(p: float) -> str:
 
 def unblind(args: Namespace) -> Answer:
     """Write who looks at the key, and when, and show it."""
-    from teleop.people.journal import Journal
-    from teleop.people.study import LOOKS
-
     study = open_study(args.folder)
     who = args.name or os.environ.get("USER") or os.environ.get("LOGNAME") or "unknown"
     with Journal(study.folder / LOOKS) as looks:
@@ -298,14 +300,6 @@ def unblind(args: Namespace) -> Answer:
 
 def rerun(args: Namespace) -> Answer:
     """Run a trial's hand again under another law, in virtual time, with its own knobs; or show its own run."""
-    from teleop.people.journal import NAME, of_kind, read_journal
-    from teleop.people.schedule import Trial
-    from teleop.people.study import intervals
-    from teleop.scene.loading import load_scene
-    from teleop.simulation.virtual import run
-    from teleop.storage.folder import new_folder
-    from teleop.terminal.run_table import table
-
     study = open_study(args.folder)
     person, _, number = args.trial.removeprefix("sub-").partition("/")
     if not (person.isdecimal() and number.isdecimal()):
@@ -343,7 +337,6 @@ def rerun(args: Namespace) -> Answer:
 def _own_run(args: Namespace, study: Study, records: Sequence[Path]) -> Answer:
     """The files that the two ends of a trial left, which name its law."""
     from teleop.people.trials.records import unpack
-    from teleop.storage.folder import new_folder
 
     if not study.looks():
         raise Refused(f"a trial's run names its law, and the study is blind; type teleop study unblind {study.folder} "

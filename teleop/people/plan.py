@@ -74,6 +74,13 @@ OF_TASK = {
 UNITS = {Measure.TIME: "s", Measure.PEAK_FORCE: "N", Measure.THROUGHPUT: "bit/s"}
 
 
+class Correction(StrEnum):
+    """Correction of p values for the number of contrasts."""
+
+    HOLM = "holm"
+    NONE = "none"
+
+
 class After(StrEnum):
     """Place of a question in the session."""
 
@@ -173,7 +180,7 @@ class Analysis:
 
     primary: Measure
     contrasts: tuple[tuple[str, str], ...]
-    correction: str = "holm"
+    correction: Correction = Correction.HOLM
     alpha: float = 0.05
     lapse: float = 0.02  # share of answers by chance that a person's fit reckons with
 
@@ -240,6 +247,11 @@ class StudyPlan:
         if self.design is Design.BETWEEN:
             return n
         return 1 if self.order is Order.RANDOM else 2 * n if n % 2 and n > 1 else n
+
+    @property
+    def conditions_each(self) -> int:
+        """Number of conditions that each person meets."""
+        return 1 if self.design is Design.BETWEEN else len(self.conditions)
 
     def condition(self, name: str) -> StudyCondition:
         """The condition of this name."""

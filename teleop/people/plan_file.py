@@ -17,7 +17,7 @@
     name = "wave"
     set = {law = "wave"}
 
-    [task]                           # see `Task`
+    [task]                           # see `TrialTask`
     kind = "compare"
     method = "constant"
     standard = 500.0
@@ -52,7 +52,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from enum import StrEnum
 from pathlib import Path
@@ -65,6 +65,7 @@ from teleop.people.plan import (
     SHOWN,
     After,
     Analysis,
+    Correction,
     Design,
     Exclusion,
     LevelMethod,
@@ -186,10 +187,10 @@ def _numbers(table: Mapping[str, Any], key: str, where: str) -> tuple[float, ...
     return got
 
 
-def _record(kind: Callable[..., Any], table: Mapping[str, Any], where: str) -> Any:
+def _record(kind: type[Any], table: Mapping[str, Any], where: str) -> Any:
     """A record of numbers and truths, by the types of its defaults."""
     read: dict[str, Any] = {}
-    for each in fields(kind):  # type: ignore[arg-type]
+    for each in fields(kind):
         if each.name in table:
             default = None if each.default is MISSING else each.default
             read[each.name] = (_truth(table, each.name, where, default) if isinstance(default, bool)
@@ -329,11 +330,9 @@ def _analysis(table: object, conditions: tuple[StudyCondition, ...], task: Trial
             raise Refused(f"{at}: contrasts name the condition {name!r}; {nearest(str(name), names)}")
     if any(first == second for first, second in pairs):
         raise Refused(f"{at}: a contrast is between two conditions, not of one with itself; leave it out")
-    correction = table.get("correction", "holm")
-    if correction not in ("holm", "none"):
-        raise Refused(f"{at}: correction is holm or none, not {correction!r}; write correction = \"holm\"")
     return Analysis(primary=primary, contrasts=tuple((first, second) for first, second in pairs),
-                    correction=correction, alpha=_number(table, "alpha", at, 0.05, above=0.0, high=0.5),
+                    correction=_choice(Correction, table.get("correction", "holm"), "correction", at),
+                    alpha=_number(table, "alpha", at, 0.05, above=0.0, high=0.5),
                     lapse=_number(table, "lapse", at, 0.02, low=0.0, high=0.1))
 
 

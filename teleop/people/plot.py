@@ -6,12 +6,12 @@ The curves are drawn once a study is unblinded: where a condition's stimuli lie 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, sqrt
+from math import exp
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from teleop.people.adaptive import phi
+from teleop.people.adaptive import share_correct
 from teleop.people.analysis import Analysed
 from teleop.people.felt import with_stiffness
 from teleop.people.fit import Answers, Fit
@@ -73,6 +73,5 @@ def _curve(axes: Axes, label: str, answers: Answers, fitted: Fit, colour: str) -
     x, shown, second = (part[0] for part in answers)
     axes.plot(x, second / shown, "o", color=colour, markersize=5)
     at: Sequence[float] = np.linspace(1.2 * float(x.min()), 1.2 * float(x.max()), 200).tolist()
-    share = [phi((each + fitted.bias) / (sqrt(2.0) * fitted.w)) for each in at]
-    curve = [0.5 * fitted.lapse + (1.0 - fitted.lapse) * each for each in share]
+    curve = [share_correct(each + fitted.bias, fitted.w, fitted.lapse) for each in at]
     axes.plot(at, curve, "-", color=colour, linewidth=1.4, label=plot.literal(f"{label}: w = {fitted.w:.3f}"))

@@ -8,6 +8,7 @@ there is no effect: the same studies with all effects at nothing.
 from __future__ import annotations
 
 from argparse import Namespace
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import exp, log, sqrt
@@ -15,7 +16,7 @@ from typing import Any
 
 from teleop.people.analysis import Analysed, Felt, analyse
 from teleop.people.felt import felt_stiffness
-from teleop.people.plan import Design, Measure, StudyPlan
+from teleop.people.plan import Measure, StudyPlan
 from teleop.people.schedule import LETTERS
 from teleop.people.simulated import Person, simulate_session
 from teleop.terminal.answer import Answer
@@ -41,10 +42,10 @@ class Recovered:
 
     studies: int = 0
     estimates: dict[str, list[float]] = field(default_factory=dict)  # of ln w
-    covered: dict[str, int] = field(default_factory=dict)  # by the interval over people
-    pooled: dict[str, int] = field(default_factory=dict)  # by the profile likelihood of all as one
-    contrasts: dict[str, int] = field(default_factory=dict)  # found
-    false: dict[str, int] = field(default_factory=dict)
+    covered: Counter[str] = field(default_factory=Counter)  # by the interval over people
+    pooled: Counter[str] = field(default_factory=Counter)  # by the profile likelihood of all as one
+    contrasts: Counter[str] = field(default_factory=Counter)  # found
+    false: Counter[str] = field(default_factory=Counter)
 
 
 def study_of(plan: StudyPlan, felt: Felt, people: int, *, pooled: bool = False) -> Analysed:
@@ -63,9 +64,8 @@ def study_of(plan: StudyPlan, felt: Felt, people: int, *, pooled: bool = False) 
 
 def true_log_w(plan: StudyPlan, name: str) -> float:
     """The mean of ln w over people in a condition, by which places it has on average."""
-    places = 1 if plan.design is Design.BETWEEN else len(plan.conditions)
     simulated = plan.simulated
-    return log(simulated.w) + simulated.effects.get(name, 0.0) + simulated.learning * 0.5 * (places - 1)
+    return log(simulated.w) + simulated.effects.get(name, 0.0) + simulated.learning * 0.5 * (plan.conditions_each - 1)
 
 
 def recovered(plan: StudyPlan, people: int, studies: int, show: Callable[[int], None] = lambda _: None) -> Recovered:
@@ -78,25 +78,20 @@ def recovered(plan: StudyPlan, people: int, studies: int, show: Callable[[int], 
         counts.studies += 1
         findings = study_of(each, felt, people, pooled=plan.analysis.primary is Measure.W).after
         for contrast in findings.contrasts:
-            _count(counts.contrasts, f"{names[contrast.first]} - {names[contrast.second]}",
-                   contrast.p_corrected < plan.analysis.alpha)
+            counts.contrasts[f"{names[contrast.first]} - {names[contrast.second]}"] += (
+                contrast.p_corrected < plan.analysis.alpha)
         without = replace(each, simulated=replace(plan.simulated, effects={}))
         null = study_of(without, felt, people).after if plan.simulated.effects else findings
         for contrast in null.contrasts:
-            _count(counts.false, f"{names[contrast.first]} - {names[contrast.second]}",
-                   contrast.p < plan.analysis.alpha)
+            counts.false[f"{names[contrast.first]} - {names[contrast.second]}"] += contrast.p < plan.analysis.alpha
         if plan.analysis.primary is Measure.W:
             for summary in findings.summaries:
                 name = names[summary.letter]
                 true, one = exp(true_log_w(plan, name)), findings.pooled[summary.letter]
                 counts.estimates.setdefault(name, []).append(log(summary.mean))
-                _count(counts.covered, name, summary.low <= true <= summary.high)
-                _count(counts.pooled, name, one.low <= true <= one.high)
+                counts.covered[name] += summary.low <= true <= summary.high
+                counts.pooled[name] += one.low <= true <= one.high
     return counts
-
-
-def _count(counts: dict[str, int], name: str, happened: bool) -> None:
-    counts[name] = counts.get(name, 0) + happened
 
 
 def recover(args: Namespace, plan: StudyPlan, people: int, show: Callable[[int], None],

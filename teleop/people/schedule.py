@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from teleop.people.adaptive import next_level
-from teleop.people.plan import After, Design, LevelMethod, Order, QuestionKind, StudyPlan, TaskKind
+from teleop.people.plan import After, Design, LevelMethod, Order, QuestionKind, StudyPlan, StudyQuestion, TaskKind
 
 Row = Mapping[str, Any]  # a line of a journal
 LETTERS = "ABCDEFGHIJKL"
@@ -109,7 +109,6 @@ def next_step(plan: StudyPlan, felt: Mapping[str, Mapping[float, float]], partic
     done = [row for row in rows if row["kind"] != "session"]
     at = 0
     trial = 0
-    before: list[Row] = []
     for place, letter in enumerate(order_of(plan, participant), 1):
         of_condition: list[Row] = []
         for i in range(plan.training + plan.task.per_condition):
@@ -123,7 +122,6 @@ def next_step(plan: StudyPlan, felt: Mapping[str, Mapping[float, float]], partic
                 return Step(kind=StepKind.TRIAL, letter=letter, place=place, trial=_trial(
                     plan, felt.get(letter, {}), participant, trial, letter, place, i, of_condition))
             of_condition += [] if training else [done[at]]
-            before.append(done[at])
             at += 1
         for number, question in enumerate(plan.questions):
             if question.after is After.CONDITION:
@@ -161,17 +159,16 @@ def _trial(plan: StudyPlan, felt: Mapping[float, float], participant: int, numbe
 
 def seconds_of(plan: StudyPlan) -> float:
     """Length of a session: trials, turns, answers, breaks, questions; s, training included."""
-    per_person = 1 if plan.design is Design.BETWEEN else len(plan.conditions)
     task = plan.task
     trial = task.intervals * (task.seconds + plan.turn) + ANSWER
     breaks = (task.per_condition - 1) // plan.break_every * plan.break_seconds if plan.break_every else 0.0
     behind = {after: sum(_answer_seconds(each) for each in plan.questions if each.after is after) for after in After}
-    return (per_person * ((plan.training + task.per_condition) * trial + breaks + behind[After.CONDITION])
+    return (plan.conditions_each * ((plan.training + task.per_condition) * trial + breaks + behind[After.CONDITION])
             + behind[After.SESSION] + WELCOME)
 
 
 BYTES_PER_SECOND = 280e3 / 2.6  # of a trial's record while the hand moves: hand, inputs and record, compressed
-AT_REST = 25e3  # of the turn before it
+AT_REST = 25e3  # likewise, of the turn before it
 
 
 def disk_of(plan: StudyPlan) -> float:
@@ -183,7 +180,7 @@ def disk_of(plan: StudyPlan) -> float:
 ANSWER, WELCOME = 2.0, 180.0  # s, that a person takes for an answer; for consent and instructions
 
 
-def _answer_seconds(question: Any) -> float:
+def _answer_seconds(question: StudyQuestion) -> float:
     if question.kind is QuestionKind.TLX:
         return 150.0 if question.weighted else 60.0
     return (10.0 if question.kind is QuestionKind.LIKERT else 45.0) * len(question.items)
@@ -191,5 +188,4 @@ def _answer_seconds(question: Any) -> float:
 
 def trials_of(plan: StudyPlan) -> int:
     """Trials of a person, training included."""
-    per_person = 1 if plan.design is Design.BETWEEN else len(plan.conditions)
-    return per_person * (plan.training + plan.task.per_condition)
+    return plan.conditions_each * (plan.training + plan.task.per_condition)

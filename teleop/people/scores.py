@@ -16,6 +16,7 @@ from itertools import combinations
 from math import log2, nan, sqrt
 
 TLX_ITEMS = ("mental demand", "physical demand", "temporal demand", "performance", "effort", "frustration")
+EFFECTIVE = 4.133  # standard deviations of where reaches end, that make the effective width
 PAIRS = tuple(combinations(range(len(TLX_ITEMS)), 2))
 
 
@@ -30,7 +31,7 @@ def throughput(reaches: Sequence[tuple[float, float, float, float]]) -> float:
         mean = sum(end for end, _ in several) / n
         spread = sqrt(sum((end - mean) ** 2 for end, _ in several) / (n - 1)) if n > 1 else 0.0
         if spread > 0.0 and mean > 0.0:
-            values.append(log2(mean / (4.133 * spread) + 1.0) * n / sum(time for _, time in several))
+            values.append(log2(mean / (EFFECTIVE * spread) + 1.0) * n / sum(time for _, time in several))
     return sum(values) / len(values) if values else nan
 
 

@@ -17,10 +17,9 @@ import numpy as np
 
 from teleop.people.plan import QuestionKind, StudyCondition, StudyPlan, StudyQuestion, TaskKind
 from teleop.people.schedule import Step, StepKind, Trial, dice, next_step
-from teleop.people.scores import PAIRS, TLX_ITEMS
+from teleop.people.scores import EFFECTIVE, PAIRS, TLX_ITEMS
 from teleop.people.session import TrialOutcome, answer_row, break_row, session_row, trial_row
 
-EFFECTIVE = 4.133  # standard deviations of where reaches end, that make the effective width (ISO 9241-411)
 _PERSON, _TRIAL, _QUESTION = 1 << 30, 1 << 31, 1 << 32  # dice of their own
 
 

@@ -133,16 +133,17 @@ class Study:
         """Write the tables of all people who take part."""
         data = self.folder / "data"
         data.mkdir(exist_ok=True)
+        journals = [*self.rows()]
         with replacing_text(data / f"study-{self.plan.name}_data.csv") as file:
             lines = csv.writer(file, lineterminator="\n")
             lines.writerow(COLUMNS)
-            for participant, rows in self.rows():
+            for participant, rows in journals:
                 lines.writerows([_cell(value) for value in _columns(self.plan, participant, row)]
                                 for row in of_kind(rows, "trial"))
         with replacing_text(data / f"study-{self.plan.name}_description-answers_data.csv") as file:
             lines = csv.writer(file, lineterminator="\n")
             lines.writerow(ANSWERS)
-            for participant, rows in self.rows():
+            for participant, rows in journals:
                 for row in of_kind(rows, "question"):
                     lines.writerows([participant, row["letter"], row["place"], row["question"] + 1, *cells]
                                     for cells in _answers(self.plan, row))
@@ -271,7 +272,6 @@ def write_lock(path: Path, plan: StudyPlan, document: Mapping[str, Any]) -> None
     except OSError as error:
         raise Refused(f"cannot write {lock_path(path)} ({error.strerror or error}); give a plan in a folder that you "
                       "may write to") from None
-
 
 
 def intervals(study: Study, trial: Trial) -> list[dict[str, object]]:

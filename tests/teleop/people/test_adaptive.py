@@ -3,11 +3,52 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from teleop.people.adaptive import chain, phi, quest_index, staircase_index
+from teleop.people.adaptive import phi, quest_index, staircase_index
+
+
+class StaircaseChain(NamedTuple):
+    """Long run of a staircase; levels in standard deviations of the observer."""
+
+    turning: float  # mean level of the trials at which it turns
+    trial: float  # mean level of all trials
+    correct: float  # share of correct answers
+
+
+def chain(step: float, down: int = 2, easiest: float = 8.0) -> StaircaseChain:
+    """The long run of an n-down-1-up staircase over the levels 0, step, 2 step, ..., exact: a Markov chain.
+
+    Its states are the level, the correct answers in a row and the direction of the last step.
+    """
+    levels = np.arange(0.0, easiest, step)
+    n = len(levels)
+    share = np.array([phi(float(level)) for level in levels])
+    place = np.arange(n * down * 2).reshape(n, down, 2)  # last: 0 went down, 1 went up
+    moves = np.zeros((place.size, place.size))
+    turns = np.zeros(place.size)
+    for i, p in enumerate(share):
+        for streak in range(down):
+            for up in (0, 1):
+                here = place[i, streak, up]
+                moves[here, place[min(i + 1, n - 1), 0, 1]] += 1.0 - p
+                turns[here] += (1.0 - p) * (not up)
+                if streak < down - 1:
+                    moves[here, place[i, streak + 1, up]] += p
+                else:
+                    moves[here, place[max(i - 1, 0), 0, 0]] += p
+                    turns[here] += p * up
+    equations = moves.T - np.eye(place.size)
+    equations[-1] = 1.0
+    long_run = np.linalg.solve(equations, np.eye(place.size)[-1])
+    at = np.repeat(levels, down * 2)
+    turning = long_run * turns
+    return StaircaseChain(turning=float(turning @ at / turning.sum()), trial=float(long_run @ at),
+                 correct=float(long_run @ np.repeat(share, down * 2)))
 
 
 def test_the_long_run_of_two_down_one_up_is_the_exact_one() -> None:
@@ -21,14 +62,15 @@ def test_the_long_run_of_two_down_one_up_is_the_exact_one() -> None:
 def test_a_staircase_that_is_replayed_walks_as_its_chain_says() -> None:
     levels = np.arange(0.0, 8.0, 0.25)[::-1]
     dice = np.random.default_rng(1)
-    places: list[float] = []
+    means = []
     for _ in range(60):
         answers: list[bool] = []
-        for i, draw in enumerate(dice.random(250)):
-            level = float(levels[staircase_index(len(levels), 2, answers)])
-            answers.append(bool(draw < phi(level)))
-            places += [level] if i >= 100 else []
-    assert np.mean(places) == pytest.approx(chain(0.25).trial, abs=0.06)
+        path: list[float] = []
+        for draw in dice.random(250):
+            path.append(float(levels[staircase_index(len(levels), 2, answers)]))
+            answers.append(bool(draw < phi(path[-1])))
+        means.append(np.mean(path[100:]))
+    assert np.mean(means) == pytest.approx(chain(0.25).trial, abs=4.0 * np.std(means, ddof=1) / sqrt(60))
 
 
 def test_a_staircase_begins_at_the_easiest_level_and_moves_by_one() -> None:

@@ -82,6 +82,29 @@ def test_a_persons_few_trials_have_their_bias_reduced() -> None:
     assert reduced.min() > log(0.04)
 
 
+def test_the_reduced_fit_is_that_of_an_optimiser_with_jeffreys_prior_added() -> None:
+    """The information is made of the textbook's sum, with its slopes by differences of the probability."""
+    answers = drawn(5, 4, w=0.11)
+    for row, fitted in enumerate(fit(answers, 0.02)):
+        x, shown, _ = (part[0] for part in one(answers, row))
+
+        def probability(a: float, m: float, x: np.ndarray = x) -> np.ndarray:
+            return np.asarray(0.01 + 0.98 * scipy.special.ndtr(a * x + m))
+
+        def lost(at: np.ndarray, row: int = row, shown: np.ndarray = shown) -> float:
+            a, m = at
+            p = probability(a, m)
+            slopes = np.stack([probability(a + 1e-4, m) - probability(a - 1e-4, m),
+                               probability(a, m + 1e-4) - probability(a, m - 1e-4)]) / 2e-4
+            information = slopes * shown / (p * (1.0 - p)) @ slopes.T
+            value = likelihood(one(answers, row), 1.0 / (sqrt(2.0) * a), m / a, 0.02)
+            return -value - 0.5 * float(np.linalg.slogdet(information)[1])
+
+        best = scipy.optimize.minimize(lost, [4.0, 0.0], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9})
+        assert fitted.w == pytest.approx(1.0 / (sqrt(2.0) * best.x[0]), rel=1e-3)
+        assert fitted.bias == pytest.approx(best.x[1] / best.x[0], abs=1e-3)
+
+
 def test_folding_answers_to_correct_and_wrong_would_widen_w_by_a_bias() -> None:
     shown = 100_000
     p = scipy.stats.norm.cdf((SIGNED + 0.15) / (sqrt(2.0) * 0.15))
