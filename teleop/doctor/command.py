@@ -28,7 +28,7 @@ from teleop.version import DISTRIBUTION, __version__
 EXTRAS = {  # what to install for each
     "cryptography": "secure", "distributed": "cluster", "dynamixel-sdk": "dynamixel", "feetech-servo-sdk": "feetech",
     "matplotlib": "plot", "mcap": "log", "mujoco-core": "mujoco", "pyOpenSSL": "secure",
-    "pylibfranka": "franka", "python-can": "openarm", "scipy": "people", "websockets": "page",
+    "pylibfranka": "franka", "pylsl": "lsl", "python-can": "openarm", "scipy": "people", "websockets": "page",
 }
 
 

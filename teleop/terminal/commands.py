@@ -16,7 +16,6 @@ from teleop.terminal.options import (
     tick_options,
     whole,
 )
-from teleop.terminal.study_options import study_options
 from teleop.version import __version__
 
 FIRST = """\
@@ -225,6 +224,12 @@ def _compare(added: ArgumentParser) -> None:
     plot_option(added, "a figure for each question")
 
 
+def _study(added: ArgumentParser) -> None:
+    from teleop.terminal.study_options import study_options  # which no other command needs
+
+    study_options(added)
+
+
 def _axis(added: ArgumentParser) -> None:
     added.add_argument("--axis", metavar="NAME", help="of a scene whose axes have parts of their own: the one meant")
 
@@ -426,7 +431,7 @@ COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None]]] = {
     "compare": ("Compare laws over links, environments and seeds: one table, and with --plot a figure a question; the "
                 "same command goes on where it stopped.", _compare),
     "study": ("Experiments with people: check a plan, simulate it, analyse and unblind a study, run a trial again.",
-              study_options),
+              _study),
     "precision": ("Measure error against run time: the exact steps beside every other way to integrate.", _precision),
     "stability": ("Count the unstable roots of a linear scene's exact sampled loop, and find its margins.", _stability),
     "passivity": ("Two-port: hybrid matrix, Llewellyn's criterion, transparency; one port: is its sampled controller "
