@@ -99,7 +99,7 @@ def test_a_session_is_as_long_as_its_trials_turns_breaks_and_questions() -> None
 
 @pytest.mark.parametrize("name", ["discrimination", "laws"])
 def test_the_examples_are_simulated_and_analysed(name: str) -> None:
-    """Four people each: every condition has a measure, and the contrasts of the plan are there."""
+    """Six people: every condition has a measure, and the contrasts of the plan are there."""
     plan = read_plan(EXAMPLES / f"{name}.toml")
     felt = felt_stiffness(plan)
     check_levels(plan, felt)

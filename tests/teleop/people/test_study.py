@@ -267,7 +267,7 @@ def test_without_scipy_a_plan_is_checked_and_simulated_and_the_analysis_says_wha
     import sys
 
     for name in [name for name in sys.modules if name.partition(".")[0] == "scipy"] + ["scipy", "scipy.special"]:
-        monkeypatch.setitem(sys.modules, name, None)  # type: ignore[arg-type]
+        monkeypatch.setitem(sys.modules, name, None)  # type: ignore[arg-type]  # None: an import of it fails
     monkeypatch.setattr("teleop.people.command.find_spec", lambda _: None)
     (here / "plan.toml").write_text(TEXT + "[power]\nd_z = 0.8\n")
     assert "power      needs scipy; install it with: pip install 'bilateral-teleop[people]'" in typed(
