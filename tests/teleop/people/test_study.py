@@ -13,6 +13,7 @@ import pytest
 from master.steered import SteeredMaster
 from teleop.__main__ import main
 from teleop.errors import Refused
+from teleop.people.contrasts import paired_power
 from teleop.people.journal import NAME, read_journal
 from teleop.people.plan_file import read_plan
 from teleop.people.schedule import Trial
@@ -58,6 +59,15 @@ def test_check_shows_what_each_law_lets_through_and_what_a_session_costs(here: P
     assert not (here / "runs").exists()
 
 
+def test_people_were_counted_for_an_alpha_of_a_twentieth_whatever_the_plan_says(here: Path, capsys: Capture) -> None:
+    for alpha in (0.05, 0.001):
+        power = f"alpha = {alpha}\n[power]\nd_z = 1.0\n[simulated]"
+        (here / "plan.toml").write_text(TEXT.replace("[simulated]", power))
+        found = answer(capsys, "check", "plan.toml")["power"]
+        assert paired_power(1.0, found["needed"] - 1, alpha) < 0.8 <= paired_power(1.0, found["needed"], alpha)
+        assert found["power"] == pytest.approx(paired_power(1.0, 4, alpha))
+
+
 def test_a_locked_plan_that_was_changed_is_refused(here: Path, capsys: Capture) -> None:
     typed(capsys, "check", "plan.toml", "--lock")
     lock = json.loads((here / "plan.lock").read_text())
@@ -67,8 +77,9 @@ def test_a_locked_plan_that_was_changed_is_refused(here: Path, capsys: Capture) 
     (here / "plan.toml").write_text("# another comment\n" + TEXT.replace("\n", "\r\n"))
     assert "locked, and unchanged since" in typed(capsys, "check", "plan.toml")
     (here / "plan.toml").write_text(TEXT.replace("repeats = 4", "repeats = 6"))
-    sentence = typed(capsys, "simulate", "plan.toml", code=2)
-    assert "plan.toml was changed after it was locked on" in sentence
+    for words in (("check",), ("simulate",), ("run", "--participant", "1")):
+        sentence = typed(capsys, words[0], "plan.toml", *words[1:], code=2)
+        assert "plan.toml was changed after it was locked on" in sentence
     assert not (here / "runs").exists()
 
 
@@ -267,7 +278,7 @@ def test_without_scipy_a_plan_is_checked_and_simulated_and_the_analysis_says_wha
     import sys
 
     for name in [name for name in sys.modules if name.partition(".")[0] == "scipy"] + ["scipy", "scipy.special"]:
-        monkeypatch.setitem(sys.modules, name, None)  # type: ignore[arg-type]  # None: an import of it fails
+        monkeypatch.setitem(sys.modules, name, None)  # an import of it fails
     monkeypatch.setattr("teleop.people.command.find_spec", lambda _: None)
     (here / "plan.toml").write_text(TEXT + "[power]\nd_z = 0.8\n")
     assert "power      needs scipy; install it with: pip install 'bilateral-teleop[people]'" in typed(
