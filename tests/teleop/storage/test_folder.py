@@ -123,7 +123,6 @@ for turn in sys.stdin:  # all start at the same line
     print(answer, flush=True)
 """
 
-    @pytest.mark.full
     def test_of_many_processes_one_gets_the_name_and_no_record_is_lost(self) -> None:
         turns = [(how, f"{how}{i}") for i in range(15) for how in ("claim", "live", "new")]
         turns += [("numbered", "x")] * 10
