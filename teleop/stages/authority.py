@@ -21,6 +21,9 @@ class Standing(IntEnum):
     PAUSED = 4  # the link is not there, or the clutch is open
 
 
+OPERATOR, POLICY, GRIPPED, LATE, PAUSED = map(float, Standing)  # as all engines know numbers
+
+
 class Rules(NamedTuple):
     """Coefficients of authority and of the tank."""
 
@@ -37,19 +40,19 @@ class Rules(NamedTuple):
 def standing(c: Rules, was: float, wants: float, allowed: float, quiet: float, resisted: float) -> float:
     """The `Standing` of a tick. `quiet`: ticks since an action; `resisted`: ticks for which a hand resisted."""
     if not wants > 0.0:
-        return 0.0
-    if was == 2.0 or (was == 1.0 and resisted > c.grips):
-        return 2.0
+        return OPERATOR
+    if was == GRIPPED or (was == POLICY and resisted > c.grips):
+        return GRIPPED
     if not allowed > 0.0:
-        return 4.0
-    return 3.0 if quiet > c.patience else 1.0
+        return PAUSED
+    return LATE if quiet > c.patience else POLICY
 
 
 def share_step(c: Rules, a: float, now: float, passed: float) -> float:
     """The policy's share after a tick; down by the ticks that passed, up by one of those that are run."""
-    if now == 1.0:
+    if now == POLICY:
         return min(a + c.up, 1.0)
-    return max(a - passed * (c.yields if now > 2.0 else c.up), 0.0)
+    return max(a - passed * (c.yields if now > GRIPPED else c.up), 0.0)
 
 
 def tank_step(c: Rules, E: float, work: float, span: float) -> float:
