@@ -200,14 +200,15 @@ def driven(of: Scene, master: Any) -> tuple[dict[str, np.ndarray], list[Event]]:
     """The master's record and events, of two ends that are driven by hand, without a link."""
     ends, devices = met(of), {"m": master, "s": SimulatedSlave(of)}
     rows: list[float] = []
+    aligns = of.operator is not None and of.operator.align is not None
     for k in range(of.ticks):
         now = START + k * MS
         outs = {e: ends[e].tick(k, now, devices[e].read(k)) for e in "ms"}
         for e, other in ("ms", "sm"):
             devices[e].hold(outs[e].force)
             datagram = outs[e].datagram
-            if datagram is not None:
-                ends[other].receive(datagram, now)
+            assert (datagram is None) is (aligns and k == 0 and e == "m")  # silent until it knows where the arm stands
+            ends[other].receive(datagram or b"", now)
         rows.extend(outs["m"].row)
     return dict(end_columns(prepare(of), "m", EndRecord(range(of.ticks), rows, None))), ends["m"].guard.events
 
