@@ -154,7 +154,11 @@ class Children:
 
 
 def lost_share(live: Mapping[str, Mapping[str, Any]]) -> float | None:
-    """The greater share of packets that were lost on a way, by the newest event `live` of each end; None: not known."""
+    """The greater share of packets that were lost on a way, by the newest event `live` of each end; None: not known.
+
+    >>> lost_share({"m": {"loss": 0.25, "skipped": 0.0}, "s": {"loss": 0.5, "skipped": 0.125}}), lost_share({})
+    (0.5, None)
+    """
     return max((max(0.0, live[e]["loss"] - (live.get(peer, {}).get("skipped") or 0.0))  # what it skipped was not sent
                 for e, peer in ("ms", "sm") if live.get(e, {}).get("loss") is not None), default=None)
 

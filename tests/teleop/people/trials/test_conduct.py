@@ -8,12 +8,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from shutil import copytree
 from tempfile import mkdtemp
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
 pytest.importorskip("websockets", reason="the extra `page` is not installed")
 
+from teleop.__main__ import main
 from teleop.errors import Refused
 from teleop.law import known_laws
 from teleop.live.page.controls import Controls
@@ -345,3 +347,27 @@ def test_a_lost_focus_and_the_refresh_of_the_screen_are_kept(sitting: Callable[.
     at.say("focus")
     at.carry_on(stop_after=2)
     assert [(row["refresh"], row["focus_lost"]) for row in at.trials] == [(59.9, False), (59.9, True)]
+
+
+@pytest.mark.parametrize("device", [None, "haply:/dev/ttyACM0"])
+def test_a_press_by_a_device_names_it_and_only_one_by_a_pointer_shows_how_far_to_pull(
+    sitting: Callable[..., Sitting], device: str | None
+) -> None:
+    at = sitting('kind = "press"\nforces = [2.0]\nseconds = 1.0', primary="peak_force", device=device)
+    at.carry_on(stop_after=1)
+    assert (at.trials[0]["modality"], at.trials[0]["device"]) == (
+        ("visual", "pointer") if device is None else ("haptic", device))
+    sent = [json.loads(text) for text in at.sent]
+    assert [message["pointer"] for message in sent if message.get("screen") == "instructions"] == [device is None]
+    assert [message["target"] for message in sent if message["type"] == "stage"][-1] == (
+        {"at": 2.0 / 200.0, "width": 0.0, "of": "hand"} if device is None else None)
+
+
+def test_a_disk_without_room_for_a_session_is_refused_and_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN.replace("TASK", REACH).replace("PRIMARY", "time"))
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1e5))
+    assert main(["study", "run", str(tmp_path / "plan.toml"), "--participant", "1", "--out", str(tmp_path / "s")]) == 2
+    assert "has 100 kB left; free some space" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
