@@ -57,7 +57,6 @@ def test_a_way_that_grows_is_not_taken_for_a_clock() -> None:
     assert [clock_note(both.end(e).link) for e in "ms"] == [None, None]
 
 
-@pytest.mark.full
 def test_clocks_that_came_apart_in_an_earlier_session_are_told_of_too() -> None:
     """The two begin a new session when their grids are too far apart, and then everything of the clocks begins anew."""
     both = world(3000.0)

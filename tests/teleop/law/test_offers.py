@@ -89,7 +89,6 @@ class TestEnergyThatALawKeeps:
 
 
 class TestTheClaim:
-    @pytest.mark.full
     def test_honest_books_pass(self) -> None:
         try_claims(Dampers(B=0.5))
         try_claims(Coupled(B=0.5))

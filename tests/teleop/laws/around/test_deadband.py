@@ -53,7 +53,6 @@ def test_with_k_zero_it_is_the_law_to_the_bit(law: Any) -> None:
     assert all(np.array_equal(alone[name], within_it[name], equal_nan=True) for name in alone)
 
 
-@pytest.mark.full
 @LAWS
 def test_what_comes_out_is_a_law_that_keeps_what_it_claims(law: Any) -> None:
     composed = around("deadband(0.3, floor=0.05)", law)

@@ -93,7 +93,6 @@ def test_a_law_that_gives_out_nothing_is_the_law_to_the_bit() -> None:
         assert all(np.array_equal(alone[name], guarded[name], equal_nan=True) for name in alone), law
 
 
-@pytest.mark.full
 def test_what_comes_out_claims_its_books_and_keeps_them_in_the_trials() -> None:
     guarded: Any = around("guard", Direct())
     assert dict(guarded.claims) == {"E_law": "any link"}
