@@ -1,8 +1,10 @@
-"""Each effect against what its knobs say: distributions, shares and burst lengths; and how effects are joined."""
+"""Each effect against what its knobs say: distributions, shares and bursts; how effects are joined, and conform."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -21,12 +23,18 @@ from channel import (
     GammaJitter,
     GilbertElliott,
     InOrder,
+    Ints,
     Mahimahi,
     NormalJitter,
     Rng,
     UniformJitter,
+    by_time,
+    check_effect,
+    describe,
+    parse_link,
 )
-from channel.schedule import by_number, by_time
+from channel.link import EFFECTS
+from channel.schedule import Order
 from teleop.errors import Refused
 
 COUNT, MS = 20_000, 1_000_000
@@ -54,11 +62,13 @@ def bursts(gone: NDArray[np.bool_]) -> NDArray[np.int64]:
 # Delays
 
 
-def test_a_constant_delay_is_exact_in_nanoseconds() -> None:
-    for delay, expected_ns in ((0.05, 50_000_000), (0, 0), (1e-9, 1), (0.0012345678, 1_234_568)):
-        packet, time_ns = Delay(delay).arrivals(0, 1000, MS, 1, 100)
-        assert packet.tolist() == list(range(1000)), delay
-        assert time_ns.tolist() == [k * MS + expected_ns for k in range(1000)], delay
+def test_a_constant_delay_is_exact_in_nanoseconds_and_so_is_a_jitter_without_a_width() -> None:
+    for effect, expected_ns in (
+            (Delay(0.05), 50_000_000), (Delay(0), 0), (Delay(1e-9), 1), (Delay(0.0012345678), 1_234_568),
+            (UniformJitter(0.0), 0), (NormalJitter(0.01, 0.0), 10_000_000), (GammaJitter(0.0, 1.0), 0)):
+        packet, time_ns = effect.arrivals(0, 1000, MS, 1, 100)
+        assert packet.tolist() == list(range(1000)), effect
+        assert time_ns.tolist() == [k * MS + expected_ns for k in range(1000)], effect
 
 
 def test_a_jitter_has_its_distribution_and_packets_are_independent() -> None:
@@ -86,20 +96,6 @@ def test_of_a_normal_jitter_what_is_below_zero_becomes_zero() -> None:
     expected = mean * scipy.stats.norm.cdf(mean / sigma) + sigma * scipy.stats.norm.pdf(mean / sigma)
     assert got.mean() == pytest.approx(expected, abs=4 * sigma / np.sqrt(COUNT))
     assert got.min() == 0.0
-
-
-def test_iid_jitter_overtakes_as_often_as_it_must() -> None:
-    """At 1 kHz iid jitter of 20 ms delivers out of order: a packet is fresh only if none newer came first."""
-    packet, _ = UniformJitter(0.02).arrivals(0, COUNT, MS, 1, 100)
-    fresh = packet == np.maximum.accumulate(packet)
-    none_newer_first = np.mean([np.prod([min(1.0, 1 - (d - j) / 20) for j in range(1, int(d) + 1)])
-                                for d in np.linspace(0, 20, 2001)[:-1]])  # over this packet's own delay, ms
-    assert fresh.mean() == pytest.approx(none_newer_first, abs=0.02)
-
-
-def test_jitters_without_a_width_are_constant() -> None:
-    for effect, delay in ((UniformJitter(0.0), 0.0), (NormalJitter(0.01, 0.0), 0.01), (GammaJitter(0.0, 1.0), 0.0)):
-        assert (delays(effect) == delay).all(), effect
 
 
 # Losses
@@ -142,6 +138,8 @@ def test_gilbert_elliott_is_stationary_from_packet_0() -> None:
     effect = GilbertElliott(0.01, 0.03)
     first = [lost(effect, 1, seed)[0] for seed in range(1000)]
     assert scipy.stats.binomtest(int(sum(first)), len(first), effect.mean_loss).pvalue > 1e-3
+    far = np.array([2**40 + 5])  # found by looking back, in no more than a few blocks
+    assert effect.bad(effect.begin(Rng(1, 0, 0)), far) == effect.bad(effect.begin(Rng(1, 0, 0)), far)
 
 
 @settings(max_examples=25)
@@ -164,14 +162,7 @@ def test_gilbert_elliott_state_is_the_chain_step_by_step(p: float, r: float, see
     assert [bool(effect.bad(state, np.array([k]))[0]) for k in asked] == [chain[k] for k in asked]
 
 
-def test_gilbert_elliott_far_from_the_start_is_found_by_looking_back() -> None:
-    """A packet number of 2^40 costs no more than a few blocks."""
-    effect = GilbertElliott(0.01, 0.1)
-    far = np.array([2**40 + 5])
-    assert effect.bad(effect.begin(Rng(1, 0, 0)), far) == effect.bad(effect.begin(Rng(1, 0, 0)), far)
-
-
-def test_duplicates_have_their_share_and_come_after_their_time() -> None:
+def test_duplicates_have_their_share_come_after_their_time_and_share_their_fate_behind_each_other() -> None:
     packet, time_ns = Duplicate(0.2, after=0.0035).arrivals(0, COUNT, MS, 1, 100)
     numbers, copies = np.unique(packet, return_counts=True)
     assert np.array_equal(numbers, np.arange(COUNT))
@@ -180,12 +171,8 @@ def test_duplicates_have_their_share_and_come_after_their_time() -> None:
     late = time_ns - packet * MS
     assert set(late.tolist()) == {0, 3_500_000}
     assert (late > 0).sum() == (copies == 2).sum()
-
-
-def test_copies_behind_each_other_share_their_fate() -> None:
-    both = Duplicate(1.0) | Bernoulli(0.5)
-    _, copies = np.unique(both.arrivals(0, 1000, MS, 1, 100).packet, return_counts=True)
-    assert set(copies.tolist()) == {2}
+    lossy = (Duplicate(1.0) | Bernoulli(0.5)).arrivals(0, 1000, MS, 1, 100).packet
+    assert set(np.unique(lossy, return_counts=True)[1].tolist()) == {2}
 
 
 def test_a_blackout_loses_what_gets_there_meanwhile() -> None:
@@ -199,8 +186,12 @@ def test_a_blackout_loses_what_gets_there_meanwhile() -> None:
 # Joined
 
 
-def test_joining_is_flat_and_associative() -> None:
-    a, b, c = Delay(0.1), Bernoulli(0.2), UniformJitter(0.01)
+def test_effects_are_values_and_joining_them_is_flat_and_associative() -> None:
+    a, b, c = Delay(1), Bernoulli(0.2), UniformJitter(0.01)
+    assert a == Delay(1.0)
+    assert repr(a) == "Delay(delay=1.0)"
+    with pytest.raises(AttributeError):
+        a.delay = 2.0  # type: ignore[misc]  # frozen
     assert (a | b) | c == a | (b | c) == Chain((a, b, c))
     assert ((a | b) | (c | a)).effects == (a, b, c, a)
     assert (a | b) != (b | a)
@@ -208,13 +199,6 @@ def test_joining_is_flat_and_associative() -> None:
     for wrong in (lambda: a | 3, lambda: (a | b) | None):  # type: ignore[operator]  # refused
         with pytest.raises(TypeError):
             wrong()
-
-
-def test_effects_are_values() -> None:
-    assert Delay(1) == Delay(1.0)
-    assert repr(Delay(1)) == "Delay(delay=1.0)"
-    with pytest.raises(AttributeError):
-        Delay(1.0).delay = 2.0  # type: ignore[misc]  # frozen
 
 
 def test_in_order_behind_a_queue_that_sees_disorder_is_refused(recordings: Path) -> None:
@@ -227,10 +211,76 @@ def test_in_order_behind_a_queue_that_sees_disorder_is_refused(recordings: Path)
     assert len((queue | jitter | InOrder() | queue | jitter | InOrder()).effects) == 6
 
 
-def test_by_time_and_by_number_sort_with_the_other_as_tie_break() -> None:
-    packet, time_ns = np.array([3, 1, 2, 1, 0]), np.array([5, 5, 4, 2, 5])
-    assert [x.tolist() for x in by_time(packet, time_ns)] == [[1, 2, 0, 1, 3], [2, 4, 5, 5, 5]]
-    assert [x.tolist() for x in by_number(packet, time_ns)] == [[0, 1, 1, 2, 3], [5, 2, 5, 4, 5]]
-    for rows in (by_time, by_number):
-        run = np.arange(5), np.arange(5)
-        assert all(got is given for got, given in zip(rows(*run), run, strict=True))
+# What `check_effect` asks of every effect
+
+
+def test_every_built_in_effect_conforms_and_none_is_forgotten(every_effect: list[Effect]) -> None:
+    for effect in every_effect:
+        check_effect(effect)
+        if isinstance(effect, Mahimahi):  # of the others none looks at the size
+            check_effect(effect, size=1500)
+        assert parse_link(describe(effect)) == effect
+    assert {describe(effect).partition("(")[0] for effect in every_effect} == set(EFFECTS)
+
+
+@dataclass(frozen=True)
+class Broken(Effect):
+    """An effect with one fault."""
+
+    fault: str
+    order: ClassVar[Order] = "any"
+    reorders: ClassVar[bool] = False
+
+    def begin(self, rng: Rng) -> Any:
+        return [rng, 0]
+
+    def carry(self, state: Any, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, Any]:
+        rng, seen = state
+        later = (rng.uniform(packet) * 1e8).astype(np.int64)
+        keep = np.ones(len(packet), bool)
+        match self.fault:
+            case "wrote to its input":
+                time_ns += 1
+            case "int64":
+                return packet, time_ns.astype(np.float64), state  # type: ignore[return-value]
+            case "not sorted":
+                return packet, time_ns + later, state
+            case "invented":
+                return packet + 10**6, time_ns, state
+            case "before it entered":
+                return packet, time_ns - 1, state
+            case "changes a state":
+                state[1] = seen + len(packet)
+                return packet, time_ns + seen, state
+            case "random numbers of its own":
+                keep = np.random.default_rng().random(len(packet)) < 0.5
+            case "pieces":
+                keep = np.arange(len(packet)) > 0
+            case "order of packets":
+                keep, state = (np.arange(len(packet)) + seen) % 3 > 0, [rng, seen + len(packet)]
+            case "reorders":
+                return *by_time(packet, time_ns + later), state
+            case "both directions":
+                keep = Rng(rng.seed, 0, rng.place).uniform(packet) < 0.5
+            case "every place":
+                keep = Rng(rng.seed, rng.direction, 0).uniform(packet) < 0.5
+        return packet[keep], time_ns[keep], state
+
+
+@dataclass(frozen=True)
+class LateDelay(Delay):
+    """A delay that adds 1 ns to what it states."""
+
+    def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
+        return packet, time_ns + self.constant_ns + 1, None
+
+
+def test_each_fault_is_named_and_a_sound_effect_of_ones_own_passes() -> None:
+    for fault in ("wrote to its input", "int64", "not sorted", "invented", "before it entered", "changes a state",
+                  "random numbers of its own", "pieces", "order of packets", "reorders", "both directions",
+                  "every place"):
+        with pytest.raises(Refused, match=fault):
+            check_effect(Broken(fault))
+    check_effect(Broken("none"))
+    with pytest.raises(Refused, match="does more than the constant delay that its `constant_ns` states"):
+        check_effect(LateDelay(0.01))

@@ -3,8 +3,9 @@
 import pytest
 
 import channel.relay
-from channel import Bernoulli, Delay, Duplicate, Effect, Ints, Link, Rng, later, parse_link
+from channel import Bernoulli, Delay, Duplicate, Effect, Link, parse_link
 from channel.relay import Counts, Relay
+from tests.fakes import ByNumber
 
 MS = 1_000_000
 
@@ -90,7 +91,7 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert relay.counts(0).under_way == 2
 
 
-def test_eighty_megabytes_a_second_of_long_datagrams_do_not_fill_the_memory() -> None:
+def test_eighty_megabytes_a_second_of_long_datagrams_do_not_fill_the_memory_which_is_counted_back_to_nothing() -> None:
     """For four seconds, on a link of one second: what comes beyond the bound is dropped and counted."""
     relay, most, size = Relay(Delay(1.0), 1, 100), 0, 60_000
     for k in range(5333):
@@ -106,9 +107,6 @@ def test_eighty_megabytes_a_second_of_long_datagrams_do_not_fill_the_memory() ->
     assert sum(stream.bytes for stream in relay._streams) == 0
     relay.receive(0, 10**6, b"again", 20 * 10**9)
     assert relay.counts(0).under_way == 1
-
-
-def test_the_memory_that_packets_take_up_is_counted_back_to_nothing() -> None:
     for text in ("duplicate(0.5) | delay(0.1)", "bernoulli(0.5) | in_order()", "uniform(0.1)"):
         relay = Relay(parse_link(text), 1, 100)
         for k in range(300):
@@ -118,15 +116,7 @@ def test_the_memory_that_packets_take_up_is_counted_back_to_nothing() -> None:
         assert [stream.bytes for stream in relay._streams] == [0, 0], text
 
 
-def test_a_clock_that_goes_back_does_no_harm() -> None:
-    relay = Relay(Delay(0.001), 1, 100)
-    relay.receive(0, 0, b"a", 10 * MS)
-    relay.receive(0, 1, b"b", -5 * MS)
-    assert relay.next_ns() == 11 * MS
-    assert relay.due(11 * MS) == [(0, b"a"), (0, b"b")]
-
-
-def test_what_is_read_late_is_due_by_when_it_came() -> None:
+def test_what_is_read_late_is_due_by_when_it_came_and_a_clock_that_goes_back_does_no_harm() -> None:
     """A datagram may lie in the socket while `due` is asked: the link delays it from its coming, not its reading."""
     relay = Relay(Delay(0.005) | Delay(0.002), 1, 100)
     relay.receive(0, 0, b"a", 1 * MS)
@@ -136,33 +126,18 @@ def test_what_is_read_late_is_due_by_when_it_came() -> None:
     assert relay.next_ns() == 8 * MS
     assert relay.due(8 * MS) == [(0, b"a")]
     assert relay.due(9 * MS) == [(1, b"b")]
-    relay.receive(0, 2, b"d", 2 * MS)  # not before what came in its direction already
+    relay.receive(0, 2, b"d", -5 * MS)  # not before what came in its direction already
     assert relay.next_ns() == 10 * MS
-    assert [data for _, data in relay.due(10 * MS)] == [b"c", b"d"]
-
-
-class Noted(Effect):
-    """Notes when packets enter; those of even numbers leave so many seconds later."""
-
-    order = "time"
-
-    def __init__(self, later: float = 0.0) -> None:
-        self.later, self.entered = later, list[int]()
-        if later:
-            self.order = "any"  # type: ignore[misc]  # frozen: it is not its own
-
-    def begin(self, rng: Rng) -> None:
-        """No state."""
-
-    def carry(self, state: None, packet: Ints, time_ns: Ints, size: int) -> tuple[Ints, Ints, None]:
-        self.entered += time_ns.tolist()
-        return *later(packet, time_ns, self.later * (packet % 2 == 0)), None
+    assert relay.due(10 * MS) == [(0, b"c"), (0, b"d")]
 
 
 def test_what_is_read_late_finds_a_queue_that_has_moved_on() -> None:
     """Whoever has entered a queue was before it, however long it lay in the socket."""
-    queue = Noted()
-    relay = Relay(Noted(0.003) | queue, 1, 100)
+    class Queue(ByNumber):
+        order = "time"
+
+    queue = Queue()
+    relay = Relay(ByNumber(lambda k: 3 * MS * (k % 2 == 0)) | queue, 1, 100)
     relay.receive(0, 0, b"a", 1 * MS)
     assert relay.due(6 * MS) == [(0, b"a")]
     relay.receive(0, 1, b"b", 2 * MS)

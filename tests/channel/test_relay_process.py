@@ -173,25 +173,19 @@ def said_by(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
     return capsys.readouterr().out.partition("\n")[0]
 
 
-def test_the_link_is_shown_as_it_is_typed(
+def test_the_link_is_shown_as_it_is_typed_and_the_master_started_with_the_scene_that_the_channel_was(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Typed as it says, the two ends have one manifest; the slave refuses any other."""
     said = said_by(capsys, monkeypatch, "127.0.0.1:0", "--link", "delay(0.05) | bernoulli(p=0.1)")
     assert said.startswith("channel: delay(0.05) | bernoulli(0.1); 127.0.0.1:")
-
-
-@pytest.mark.parametrize("given", [
-    [], ["--insecure"], ["--set", "law=pfra", "--set", "law.kf = 0.2"],
-    ["--set", "duration=3", "--link", "delay(0.05) ; delay(0.2)"],
-])
-def test_the_master_is_started_with_the_scene_that_the_channel_was(
-    given: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Typed as it says, the two ends have one manifest; the slave refuses any other."""
-    typed = shlex.split(said_by(capsys, monkeypatch, "0.0.0.0:0", *given).partition("start the master with: ")[2])
-    assert typed[:4] == ["python", "-m", "master", "canonical"]
-    at = typed.index("--peer")
-    assert typed[4:at] == [word for word in given if word != "--insecure"]
-    assert typed[at + 1].startswith("THIS-HOST:")
-    keys = ["--key", "master.key", "--peer-fingerprint", "THE-SLAVES"]
-    assert typed[at + 2 :] == (["--insecure"] if "--insecure" in given else keys)  # or this channel drops what it sends
+    for given in ([], ["--insecure"], ["--set", "law=pfra", "--set", "law.kf = 0.2"],
+                  ["--set", "duration=3", "--link", "delay(0.05) ; delay(0.2)"]):
+        said = said_by(capsys, monkeypatch, "0.0.0.0:0", *given)
+        typed = shlex.split(said.partition("start the master with: ")[2])
+        assert typed[:4] == ["python", "-m", "master", "canonical"]
+        at = typed.index("--peer")
+        assert typed[4:at] == [word for word in given if word != "--insecure"]
+        assert typed[at + 1].startswith("THIS-HOST:")
+        keys = ["--key", "master.key", "--peer-fingerprint", "THE-SLAVES"]  # or this channel drops what it sends
+        assert typed[at + 2 :] == (["--insecure"] if "--insecure" in given else keys)

@@ -1,4 +1,4 @@
-"""One link, two forms: `arrivals` draws a whole direction, `Stream` the same live; both leave a log."""
+"""One link, two forms: `arrivals` draws a whole direction, `Stream` the same live; and ticks that an end leaves out."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -14,13 +14,12 @@ from channel import (
     Delay,
     Duplicate,
     Effect,
-    GammaJitter,
     InOrder,
     LeftOut,
+    LeftOutTicks,
     Link,
     Mahimahi,
     UniformJitter,
-    parse_link,
 )
 from channel.schedule import Stream, TwoWay, Verdicts, arrivals, verdicts
 from teleop.errors import Refused
@@ -28,12 +27,9 @@ from teleop.errors import Refused
 MS = 1_000_000
 
 
-def streamed(
-    link: TwoWay, count: int, dt_ns: int, polls: set[int], seed: int = 1
-) -> tuple[Stream, list[tuple[int, int]]]:
+def streamed(link: TwoWay, count: int, dt_ns: int, polls: set[int]) -> list[tuple[int, int]]:
     """The same packets live; after the sends named in `polls`, what is due is taken out."""
-    stream = Stream(link, 0, seed, 100)
-    out = []
+    stream, out = Stream(link, 0, 1, 100), []
     for k in range(count):
         stream.send(k, k * dt_ns)
         if k in polls:
@@ -41,7 +37,7 @@ def streamed(
         assert stream.sent + stream.doubled == stream.lost + stream.delivered + stream.under_way
     while (soon := stream.next_ns()) is not None:
         out += stream.due(soon)
-    return stream, out
+    return out
 
 
 @settings(max_examples=50)
@@ -55,8 +51,7 @@ def test_the_stream_gives_the_arrivals(every_effect: list[Effect], data: st.Data
         return
     polls = data.draw(st.sets(st.integers(0, max(count - 1, 0))))
     drawn = arrivals(link, 0, count, dt_ns, 1, 100)
-    _, live = streamed(link, count, dt_ns, polls)
-    assert live == list(zip(drawn.packet.tolist(), drawn.time_ns.tolist(), strict=True))
+    assert streamed(link, count, dt_ns, polls) == list(zip(drawn.packet.tolist(), drawn.time_ns.tolist(), strict=True))
 
 
 def test_constant_delays_alone_are_no_other_than_in_company() -> None:
@@ -100,32 +95,15 @@ def test_jitter_before_a_narrow_queue_in_which_packets_that_are_never_sent_take_
     assert len(drawn.packet) > some[all_sent.packet].sum()  # there was more room for those that were sent
 
 
-def test_arrivals_are_sorted_and_ties_go_by_number() -> None:
-    for text in ("uniform(0.02)", "uniform(0.02) | bernoulli(0.2)", "gamma(0.01, 1) | duplicate(0.3, after=0.002)"):
-        packet, time_ns = parse_link(text).arrivals(0, 5000, 100, 1, 100)
-        rows = list(zip(time_ns.tolist(), packet.tolist(), strict=True))
-        assert rows == sorted(rows), text
-
-
-def test_an_effect_added_behind_changes_no_draw_before_it() -> None:
-    jitter, loss = GammaJitter(0.01, 2.0), Bernoulli(0.2)
-    alone = verdicts(jitter, 0, 3000, MS, 1, 100)[0]
-    longer = verdicts(jitter | loss | Duplicate(0.1), 0, 3000, MS, 1, 100)
-    assert np.array_equal(alone.time_out, longer[0].time_out)
-    assert np.array_equal(longer[1].packet_out, verdicts(jitter | loss, 0, 3000, MS, 1, 100)[1].packet_out)
-
-
-def test_more_packets_change_none_before_them() -> None:
-    link = parse_link("gilbert_elliott(0.05, 0.3) | delay(0.01)")
-    few, many = (link.arrivals(1, count, MS, 5, 100) for count in (1000, 5000))
-    assert np.array_equal(few.packet, many.packet[many.packet < 1000])
-
-
-def test_seed_direction_and_place_matter_and_nothing_else() -> None:
+def test_a_draw_depends_on_seed_direction_and_place_and_on_nothing_else() -> None:
+    """On no effect behind it, no other packets, no tick and no size."""
     loss = Bernoulli(0.5)
     base = loss.arrivals(0, 1000, MS, 1, 100).packet
     assert np.array_equal(base, Bernoulli(0.5).arrivals(0, 1000, 2 * MS, 1, 200).packet)
     assert np.array_equal(base, Link(loss, Delay(1.0)).arrivals(0, 1000, MS, 1, 100).packet)
+    assert np.array_equal(base, verdicts(loss | Bernoulli(0.2), 0, 1000, MS, 1, 100)[0].packet_out)
+    many = loss.arrivals(0, 5000, MS, 1, 100).packet
+    assert np.array_equal(base, many[many < 1000])
     for other in (loss.arrivals(0, 1000, MS, 2, 100), loss.arrivals(1, 1000, MS, 1, 100),
                   (Delay(0.0) | loss).arrivals(0, 1000, MS, 1, 100)):
         agree = np.isin(np.arange(1000), base) == np.isin(np.arange(1000), other.packet)
@@ -166,7 +144,7 @@ def test_verdicts_tell_who_was_lost_late_and_doubled_and_the_stream_tells_the_sa
             assert together == list(zip(drawn[1].tolist(), drawn[0].tolist(), strict=True))
 
 
-def test_the_stream_carries_loads_and_counts() -> None:
+def test_the_stream_carries_loads_and_counts_and_refuses_a_size_that_cannot_be_carried(recordings: Path) -> None:
     stream = Stream(Duplicate(1.0, after=0.002) | Delay(0.01), 0, 1, 100)
     stream.send(0, 0, b"zero")
     assert (stream.sent, stream.doubled, stream.under_way, stream.next_ns()) == (1, 1, 2, 10 * MS)
@@ -174,14 +152,36 @@ def test_the_stream_carries_loads_and_counts() -> None:
     assert stream.deliver(11 * MS) == [(0, 10 * MS, b"zero")]
     assert stream.due(12 * MS) == [(0, 12 * MS)]
     assert (stream.delivered, stream.lost, stream.under_way, stream.next_ns()) == (2, 0, 0, None)
-
-
-def test_no_packets_no_arrivals(every_effect: list[Effect]) -> None:
-    for effect in every_effect:
-        packet, time_ns = effect.arrivals(0, 0, MS, 1, 100)
-        assert packet.shape == time_ns.shape == (0,)
-
-
-def test_a_size_that_cannot_be_carried_is_refused_before_the_first_packet(recordings: Path) -> None:
     with pytest.raises(Refused, match="1500 bytes, not 1501"):
         Mahimahi(str(recordings / "trace")).stream(0, 1, 1501)
+
+
+# Ticks that an end leaves out
+
+
+COUNT = 40_000
+
+
+@pytest.mark.parametrize(("share", "stretch"), [(0.01, None), (0.2, None), (0.05, 1.0), (0.2, 8.0), (0.44, 20.0)])
+def test_share_and_mean_stretch_are_those_that_were_asked_for(share: float, stretch: float | None) -> None:
+    out = LeftOut(share, stretch).left_out(0, COUNT, seed=5)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], out, [False]]).astype(int)))
+    stretches = edges[1::2] - edges[::2]
+    mean = 1.0 / (1.0 - share) if stretch is None else stretch
+    cycles = share * COUNT / mean
+    assert out.mean() == pytest.approx(share, rel=5.0 / np.sqrt(cycles))
+    assert stretches.mean() == pytest.approx(mean, rel=5.0 / np.sqrt(cycles))
+    assert stretch != 1.0 or stretches.max() == 1
+
+
+def test_a_tick_left_out_depends_on_seed_end_and_tick_alone_and_is_never_tick_0() -> None:
+    for stretch in (None, 4.0):
+        ticks = LeftOut(0.3, stretch)
+        one = ticks.left_out(0, COUNT, seed=1)
+        assert np.array_equal(ticks.left_out(0, 1000, seed=1), one[:1000])
+        assert not np.array_equal(ticks.left_out(1, COUNT, seed=1), one)
+        assert not np.array_equal(ticks.left_out(0, COUNT, seed=2), one)
+        assert not any(ticks.left_out(0, 5, seed=seed)[0] for seed in range(50))
+    assert LeftOut(0.0).left_out(0, 100, seed=0).sum() == 0
+    assert LeftOut(1.0).left_out(0, 100, seed=0).sum() == 99
+    assert np.flatnonzero(LeftOutTicks((0, 3, 4, 1000)).left_out(1, 10, seed=9)).tolist() == [0, 3, 4]

@@ -27,7 +27,7 @@ TICKS = 600
 FEW, MANY = 80, 10_000
 AT_ONCE = 500  # rows whose schedules are in memory together
 FIGURES = ("E_link_min", "E_link_end", "fresh_fwd", "fresh_bwd", "f_env_max")
-DRAWN = EFFECTS.keys() - {"recorded"}  # which is a folder of a live run: tests/channel/test_recorded.py
+DRAWN = EFFECTS.keys() - {"recorded"}  # which is a folder of a live run: tests/channel/test_recordings.py
 CLAIMING = [name for name in known_laws() if "E_link" in getattr(find_law(name)(), "claims", ())]
 
 Rows = list[tuple[int, dict[str, Any], int]]  # number, knobs, seed
