@@ -80,9 +80,10 @@ class TestACouplingOfOnesOwn:
             assert H[0, 0] * 1e-3 / (1.0 - 1.0 / z) == pytest.approx(own.C(z) * own.E(z) / (own.C(z) + own.E(z)))
 
     @pytest.mark.parametrize(("K", "k_e"), [(1000.0, 1e5), (300.0, 50.0)])
-    def test_has_the_verdict_and_the_bounds_of_the_built_in_one(self, K: float, k_e: float) -> None:
-        mine, built_in = (one_port(with_law(law)) for law in (
-            Offering(K=K, k_e=k_e), VirtualCoupling(K=K, k_e=k_e, mass=0.02)))
+    def test_has_the_verdict_the_bounds_the_passive_region_and_the_curves_of_the_built_in_one(
+            self, K: float, k_e: float) -> None:
+        scenes = [with_law(law) for law in (Offering(K=K, k_e=k_e), VirtualCoupling(K=K, k_e=k_e, mass=0.02))]
+        mine, built_in = map(one_port, scenes)
         assert mine.behind is not None
         assert built_in.behind is not None
         assert mine.passive is built_in.passive
@@ -91,46 +92,39 @@ class TestACouplingOfOnesOwn:
             assert getattr(mine.behind, name) == pytest.approx(getattr(built_in.behind, name), rel=1e-7), name
         assert mine.behind.alpha.alpha == pytest.approx(built_in.behind.alpha.alpha, abs=1e-9)
         assert mine.behind.integrators == {"backward": mine.behind.alpha}
-        assert "by integrator   backward passive" in passivity_table(ask(with_law(Offering(K=K, k_e=k_e))))
-
-    def test_has_the_passive_region_and_the_curves_of_the_built_in_one(self) -> None:
-        scenes = [with_law(law) for law in (Offering(), VirtualCoupling(mass=0.02))]
-        mine, built_in = map(passive_region, scenes)
-        assert mine.corners is not None
-        assert built_in.corners is not None
-        assert np.array(mine.corners) == pytest.approx(np.array(built_in.corners), rel=1e-7, abs=1e-9)
-        of_mine, of_built_in = (curves(scene, region) for scene, region in zip(scenes, (mine, built_in), strict=True))
+        assert "by integrator   backward passive" in passivity_table(ask(scenes[0]))
+        regions = [passive_region(scene) for scene in scenes]
+        assert regions[0].corners is not None
+        assert np.array(regions[0].corners) == pytest.approx(np.array(regions[1].corners), rel=1e-7, abs=1e-9)
+        of_mine, of_built_in = (curves(scene, region) for scene, region in zip(scenes, regions, strict=True))
         assert of_mine.lower == pytest.approx(of_built_in.lower)
         assert of_mine.width == pytest.approx(of_built_in.width)
         assert [lever.name for lever in levers(scenes[0])] == [lever.name for lever in levers(scenes[1])]
 
-    def test_that_it_does_not_offer_is_judged_as_a_whole(self) -> None:
+    def test_that_it_does_not_offer_is_judged_as_a_whole_and_behind_an_encoder_has_no_known_bound_either(self) -> None:
         bare, offering = one_port(with_law(Bonded())), one_port(with_law(Offering()))
         assert bare.behind is None
         assert bare.needed.damping == offering.needed.damping  # that is read off the ticks
         assert "virtual coupling" in [lever.name for lever in levers(with_law(Bonded()))]
-
-    def test_behind_an_encoder_has_no_known_bound_either(self) -> None:
         scene = with_law(Offering(), step=1e-5, friction=1.0)
         assert one_port(scene).passive is None
         assert passive_region(scene).corners is None
         assert one_port(replace(scene, law=Bonded())).verdict.friction is None  # that is no spring and damper
 
-    def test_without_series_or_passive_integrator_has_no_region_and_is_told_which_would_do(self) -> None:
+    def test_without_series_or_passive_integrator_has_no_region_and_of_another_type_is_refused(self) -> None:
+        """It is told which integrator would do, and what to write."""
         @dataclass(frozen=True, kw_only=True)
         class Early(Offering):
             def coupling(self, dt: float) -> Coupling:
                 return super().coupling(dt)._replace(keeps=False, others={"backward": Offering()})
 
-        region = passive_region(with_law(Early()))
-        assert region.corners is None
-        assert region.sentence.endswith("take backward Euler")
-
-    def test_of_another_type_is_refused_with_what_to_write(self) -> None:
         class Wrong(Bonded):
             def coupling(self, dt: float) -> Any:
                 return dt
 
+        region = passive_region(with_law(Early()))
+        assert region.corners is None
+        assert region.sentence.endswith("take backward Euler")
         with pytest.raises(Refused, match=r"Wrong.coupling returned float; write return Coupling\("):
             coupling_of(Wrong(), 1e-3)
         assert coupling_of(Bonded(), 1e-3) is None
@@ -184,32 +178,20 @@ class Offered(Clipped):
 
 
 class TestALinearLawInItsPlace:
-    @pytest.fixture
-    def law(self, tmp_path: Path) -> str:
+
+    def test_has_its_roots_margins_and_hybrid_matrix_and_the_report_says_so(self, tmp_path: Path, typed: Typed) -> None:
+        """In virtual time it is not taken, and without the offer the law is refused."""
         (tmp_path / "clipped.py").write_text(CLIPPED)
-        return "clipped.py:Offered"
-
-    def test_has_its_roots_and_margins_and_the_report_says_so(self, law: str, typed: Typed) -> None:
-        own, linear = (
-            typed("stability", "soft_tissue", "--set", f"law={name}", "--set", "delay=0.005").out.splitlines()
-            for name in (law, "direct"))
-        said = [line for line in own if line not in linear]
-        assert [line.split()[0] for line in said] == ["scene", "law"]
-        assert said[1].endswith("Offered is not linear: direct(K=500, B=20, kf=1) stands in its place")
-        assert [line for line in own if line not in said] == linear[1:]
-
-    def test_has_its_hybrid_matrix_and_the_report_says_so(self, law: str, typed: Typed) -> None:
-        own, linear = (typed("passivity", "soft_tissue", "--set", f"law={name}").out.splitlines()
-                       for name in (law, "direct"))
-        assert "stands in its place" in own[1]
-        assert own[2:] == linear[1:]
-
-    def test_is_not_taken_in_virtual_time(self, law: str, typed: Typed) -> None:
-        out = typed("stability", "soft_tissue", "--set", f"law={law}", "--set", "delay=0.005", "--time").out
-        assert "stands in its place" not in out
-
-    def test_without_the_offer_is_refused(self, law: str, typed: Typed) -> None:
-        typed("stability", "soft_tissue", "--set", f"law={law.replace('Offered', 'Clipped')}").assert_refused(
+        law, delay = ("--set", "law=clipped.py:Offered"), ("--set", "delay=0.005")
+        for command, more in (("stability", delay), ("passivity", ())):
+            own, linear = (typed(command, "soft_tissue", *words, *more).out.splitlines()
+                           for words in (law, ("--set", "law=direct")))
+            said = [line for line in own if line not in linear]
+            assert said[-1].endswith("Offered is not linear: direct(K=500, B=20, kf=1) stands in its place")
+            assert [line.split()[0] for line in said] == ["scene", "law"]
+            assert [line for line in own if line not in said] == linear[1:]
+        assert "stands in its place" not in typed("stability", "soft_tissue", *law, *delay, "--time").out
+        typed("stability", "soft_tissue", "--set", "law=clipped.py:Clipped").assert_refused(
             "Clipped is not linear at the master")
 
     def test_of_a_one_port_law_is_taken_by_its_loop(self) -> None:
@@ -225,12 +207,10 @@ class TestALinearLawInItsPlace:
         assert one_port(mine).needed == one_port(scene).needed
         assert instead(mine.law).startswith("Hardening is not linear: virtual_wall(K=400")
 
-    def test_a_law_that_offers_itself_with_another_parameter_is_said_to_be_taken_with_it(self) -> None:
+    def test_that_is_the_law_with_another_parameter_is_said_and_one_without_the_offer_stands_for_itself(self) -> None:
         law = PDamped(K=80.0, B=3.0)
         assert instead(law) == "p_d is taken with rejoin=1e+12, as it is linear"
         assert instead(law.linear()) == ""
-
-    def test_a_law_without_the_offer_stands_for_itself(self) -> None:
         assert linear_law(VirtualCoupling()) is None
         assert instead(VirtualCoupling()) == ""
         assert described(Bonded(K=2.0)) == "Bonded(K=2, B=0.2, mass=0.02, k_e=100000)"

@@ -30,12 +30,14 @@ def test_the_strongest_coupling_of_the_ends_is_that_of_a_search_over_all_frequen
     assert strongest(K_d, c) >= found * (1.0 - 1e-12)
 
 
-@pytest.mark.parametrize(("ratio", "least"), [(0.4, 0.236738), (0.5, 0.163517), (2.0, 0.028146)])
-def test_equal_ends_need_this_part_of_c(ratio: float, least: float) -> None:
+def test_equal_ends_need_this_part_of_c_and_sampled_their_delay_is_a_tick_longer() -> None:
     """The numbers of the law book: B/c at K_d/c, in continuous time; c = K (T1 + T2)/2."""
     K, round_trip = 400.0, 0.1
     c = 0.5 * K * round_trip
-    assert round(least_damping(K, ratio * c, round_trip, 0.0, 0.0, 0.0) / c, 6) == least
+    for ratio, least in ((0.4, 0.236738), (0.5, 0.163517), (2.0, 0.028146)):
+        assert round(least_damping(K, ratio * c, round_trip, 0.0, 0.0, 0.0) / c, 6) == least
+    assert least_damping(K, 0.0, round_trip, 1e-3, 0.0, 0.0) == pytest.approx(K * 0.051, rel=1e-12)
+    assert least_damping(K, 0.0, round_trip, 0.0, 0.0, 0.0) == pytest.approx(K * 0.050, rel=1e-12)
 
 
 @given(ratio=st.floats(0.0, 0.2))
@@ -51,11 +53,6 @@ def test_without_a_damper_over_the_link_the_product_of_both_ends_counts(
     B = least_damping(K, 0.0, T1 + T2, 0.0, b_m, b_s)
     have, want = 4.0 * (B + b_m) * (B + b_s), (K * (T1 + T2)) ** 2
     assert have == pytest.approx(want, rel=1e-9) if B > 0.0 else have >= want * (1.0 - 1e-12)
-
-
-def test_sampled_the_delay_of_equal_ends_is_a_tick_longer() -> None:
-    assert least_damping(400.0, 0.0, 0.1, 1e-3, 0.0, 0.0) == pytest.approx(400.0 * 0.051, rel=1e-12)
-    assert least_damping(400.0, 0.0, 0.1, 0.0, 0.0, 0.0) == pytest.approx(400.0 * 0.050, rel=1e-12)
 
 
 @pytest.mark.parametrize(("K", "K_d", "b_m", "b_s", "M"), [
@@ -78,36 +75,33 @@ def test_the_least_damping_is_where_the_sampled_two_port_becomes_passive(
 
 
 class TestConditions:
-    def test_enough_damping_breaks_none(self) -> None:
+
+    def test_too_little_is_told_with_the_least_that_breaks_none(self) -> None:
+        """14.5 N s/m is enough by the weaker condition in circulation, on T1^2 + T2^2; 20 without the tick."""
+        for B in (0.0, 14.5, 20.0, 20.39):
+            (told,) = injection.conditions("P+d", CONSTANT, 400.0, 0.0, B)
+            assert "4 B_m B_s >= K^2 (T1 + T2)^2" in told
+            assert f"B_m = {B:g}" in told
+            assert "--set law.B=20.4 is the least" in told
         assert injection.conditions("P+d", CONSTANT, 400.0, 0.0, 20.4) == ()
 
-    @pytest.mark.parametrize("B", [0.0, 14.5, 20.0, 20.39])
-    def test_too_little_is_told_with_the_least(self, B: float) -> None:
-        """14.5 N s/m is enough by the weaker condition in circulation, on T1^2 + T2^2; 20 without the tick."""
-        (told,) = injection.conditions("P+d", CONSTANT, 400.0, 0.0, B)
-        assert "4 B_m B_s >= K^2 (T1 + T2)^2" in told
-        assert f"B_m = {B:g}" in told
-        assert "--set law.B=20.4 is the least" in told
+    def test_each_ends_own_damping_counts_and_of_a_delay_that_varies_the_greatest(self) -> None:
+        ragged = {"fwd": AgeRange(0.01, 0.08), "bwd": AgeRange(0.05, 0.06), "lossy": True}
+        for changes, least in (({"damping_m": 6.0, "damping_s": 6.0}, "14.4"),
+                               ({"damping_m": nan, "damping_s": nan}, "20.4"),
+                               (ragged, "28.4")):  # 400 (0.14 + 0.002)/2
+            (told,) = injection.conditions("P+d", CONSTANT._replace(**changes), 400.0, 0.0, 0.0)  # type: ignore[arg-type]
+            assert f"law.B={least} is" in told
 
-    def test_each_ends_own_damping_counts_and_none_is_zero(self) -> None:
-        own = CONSTANT._replace(damping_m=6.0, damping_s=6.0)
-        assert "law.B=14.4 is" in injection.conditions("P+d", own, 400.0, 0.0, 0.0)[0]
-        bare = CONSTANT._replace(damping_m=nan, damping_s=nan)
-        assert "law.B=20.4 is" in injection.conditions("P+d", bare, 400.0, 0.0, 0.0)[0]
-
-    def test_a_delay_that_varies_counts_with_its_greatest(self) -> None:
-        ragged = CONSTANT._replace(fwd=AgeRange(0.01, 0.08), bwd=AgeRange(0.05, 0.06), lossy=True)
-        assert "law.B=28.4 is" in injection.conditions("P+d", ragged, 400.0, 0.0, 0.0)[0]  # 400 (0.14 + 0.002)/2
-
-    @pytest.mark.parametrize("changes", [{"lossy": True}, {"fwd": AgeRange(0.05, 0.07)}])
-    def test_a_damper_over_the_link_takes_a_constant_delay(self, changes: Any) -> None:
-        (told,) = injection.conditions("PD+d", CONSTANT._replace(**changes), 400.0, 2.0, 100.0)
-        assert "constant delay" in told
-        assert "--set law=p_d" in told
-
-    def test_with_no_message_one_way_none_is_enough(self) -> None:
-        assert "no message" in injection.conditions("P+d", CONSTANT._replace(bwd=None), 400.0, 0.0, 1e6)[0]
-        assert injection.needed(CONSTANT._replace(bwd=None), 400.0, 0.0) is None
+    def test_a_damper_over_the_link_takes_a_constant_delay_and_with_no_message_one_way_none_is_enough(self) -> None:
+        changes: Any
+        for changes in ({"lossy": True}, {"fwd": AgeRange(0.05, 0.07)}):
+            (told,) = injection.conditions("PD+d", CONSTANT._replace(**changes), 400.0, 2.0, 100.0)
+            assert "constant delay" in told
+            assert "--set law=p_d" in told
+        silent = CONSTANT._replace(bwd=None)
+        assert "no message" in injection.conditions("P+d", silent, 400.0, 0.0, 1e6)[0]
+        assert injection.needed(silent, 400.0, 0.0) is None
 
     @given(K=st.floats(1.0, 1e4), K_d=st.floats(0.0, 20.0), least=st.floats(1e-3, 0.2), b=st.floats(0.0, 4.0))
     @settings(max_examples=40)

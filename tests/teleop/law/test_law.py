@@ -1,4 +1,6 @@
-"""How laws are found and named, and how their lines say what they read."""
+"""How laws are found and named, what their lines say that they read, and what they are told of time and gain."""
+
+# ruff: noqa: ARG005 - an end takes what it is given, used or not
 
 from __future__ import annotations
 
@@ -8,35 +10,16 @@ import sys
 from dataclasses import dataclass, replace
 from math import inf
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
-from teleop import Refused, load_scene, run
+from teleop import At, Refused, Scene, Watchdog, load_scene, run
+from teleop.analysis.models.linear import linear_scene
 from teleop.law import BUILT_IN, At, find_law, known_laws, law_name, messages, reads, start_at
 from teleop.laws import direct, pfra, wave
-
-
-@pytest.mark.parametrize(("name", "kind"), [("wave", wave.Wave), ("pfra", pfra.PFRA), ("direct", direct.Direct)])
-def test_a_law_is_found_by_its_name_and_knows_it(name: str, kind: type) -> None:
-    assert find_law(name) is kind
-    assert law_name(kind()) == name
-
-
-def plugin(name: str, value: str) -> Any:
-    return lambda group: [SimpleNamespace(name=name, value=value)] if group == "teleop.laws" else []
-
-
-def test_a_plug_ins_law_is_found_by_its_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.metadata, "entry_points", plugin("stiff", "teleop.laws.direct:Direct"))
-    assert find_law("stiff") is direct.Direct
-    assert set(known_laws()) == {"stiff", *BUILT_IN}
-
-
-def test_a_plug_in_does_not_replace_a_built_in_law(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.metadata, "entry_points", plugin("wave", "nowhere:Nothing"))
-    assert find_law("wave") is wave.Wave
-    assert known_laws()["wave"] == BUILT_IN["wave"]
+from teleop.simulation.source import rendered
+from tests.fakes import law_of
 
 
 def test_listing_laws_imports_none() -> None:
@@ -46,19 +29,15 @@ def test_listing_laws_imports_none() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_a_law_that_is_not_listed_is_named_after_its_class() -> None:
-    assert law_name(SimpleNamespace()) == "SimpleNamespace"
-
-
-@pytest.mark.parametrize(("law", "forth", "back"), [
-    (wave.Wave(), ("u",), ("w",)), (pfra.PFRA(), ("x", "v"), ("f_env",)), (direct.Direct(), ("x", "v"), ("f_env",))
-])
-def test_the_starts_show_what_the_packets_carry(law: Any, forth: tuple[str, ...], back: tuple[str, ...]) -> None:
-    kinds = messages(law)
-    assert (kinds[0]._fields, kinds[1]._fields) == (forth, back)
-
-
-def test_before_the_first_tick_an_end_holds_nothing_and_heard_nothing() -> None:
+@pytest.mark.parametrize(("name", "kind", "forth", "back"), [
+    ("wave", wave.Wave, ("u",), ("w",)), ("pfra", pfra.PFRA, ("x", "v"), ("f_env",)),
+    ("direct", direct.Direct, ("x", "v"), ("f_env",))])
+def test_a_law_is_found_by_its_name_knows_it_and_its_starts_show_what_the_packets_carry(
+        name: str, kind: type, forth: tuple[str, ...], back: tuple[str, ...]) -> None:
+    assert find_law(name) is kind
+    assert law_name(kind()) == name
+    assert tuple(message._fields for message in messages(kind())) == (forth, back)
+    assert law_name(SimpleNamespace()) == "SimpleNamespace", "one that is not listed is named after its class"
     assert start_at(0.2, 0.1, 3.0, 1e-3) == At(0.2, 0.1, 3.0, 0.0, 0.0, False, inf, 1e-3, 1e-3, 1.0)
 
 
@@ -85,16 +64,14 @@ def damper(at: At) -> float:
     return at.v if at.v > 0.0 else spring(at)
 
 
-def test_the_plain_functions_that_it_calls_count_even_in_a_circle() -> None:
-    assert reads(lambda s, at, rx: (spring(at), rx, s)) == {"x", "v"}
-
-
-def test_so_do_comprehensions_and_lambdas_in_every_version_of_python() -> None:
+def test_plain_functions_that_it_calls_count_even_in_a_circle_and_so_do_comprehensions_and_lambdas() -> None:
     def end(s: Any, at: At, rx: Any) -> Any:
         late = max(rx, key=lambda k: k * at.age)
         return sum(k * at.f for k in rx) + late, [at.dx for _ in rx], s
 
     assert reads(end) == {"age", "f", "dx"}
+    assert reads(lambda s, at, rx: (spring(at), rx, s)) == {"x", "v"}
+    assert reads(len) == frozenset(), "what is no plain function reads nothing"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,26 +114,87 @@ def test_a_law_that_calls_the_same_end_of_another_is_told_what_that_one_reads(la
     assert list(here["f_s"]) == list(there["f_s"])
 
 
-def test_what_is_no_plain_function_reads_nothing() -> None:
-    assert reads(len) == frozenset()
-
-
-def test_the_installed_packages_are_looked_through_once_for_many_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def entry_points(group: str) -> Any:
-        asked.append(group)
-        return plugin("stiff", "teleop.laws.direct:Direct")(group)
-
-    monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
-    assert [find_law("stiff") for _ in range(5)] == [direct.Direct] * 5
-    assert asked == ["teleop.laws"]
-
-
-def test_a_package_that_was_installed_in_the_meantime_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plug_ins_law_is_found_by_its_entry_point_also_one_installed_meanwhile_and_replaces_no_built_in_law(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    """The installed packages are looked through once for many rows."""
     offered: list[Any] = []
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: list(offered))  # noqa: ARG005
+    asked: list[str] = []
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: (asked.append(group), list(offered))[1])
     with pytest.raises(Refused, match="there is no law 'stiff'"):
         find_law("stiff")
-    offered += plugin("stiff", "teleop.laws.direct:Direct")("teleop.laws")
-    assert find_law("stiff") is direct.Direct
+    offered += [SimpleNamespace(name="stiff", value="teleop.laws.direct:Direct"),
+                SimpleNamespace(name="wave", value="nowhere:Nothing")]
+    asked.clear()
+    assert [find_law("stiff") for _ in range(5)] == [direct.Direct] * 5
+    assert asked == ["teleop.laws"]
+    assert find_law("wave") is wave.Wave
+    assert known_laws() == {**BUILT_IN, "stiff": known_laws()["stiff"]}
+
+
+# What a law is told of the time since its last tick, and of the watchdog's gain at that tick
+
+
+class Place(NamedTuple):
+    x: float  # m
+
+
+class Meter(NamedTuple):
+    x: float  # m
+    time: float  # s of the run, as the spans add up
+    gains: float  # sum of the gains
+
+
+def told(self: Any, s: Meter, at: At, rx: Place, sign: float) -> tuple[float, Place, Meter]:
+    now = Meter(at.x, s.time + at.span, s.gains + at.gain)
+    f = sign * self.K * (at.x - rx.x) + (sign - 1.0) * 2.0 * at.v + now.time + sign * 0.01 * now.gains
+    return f, Place(at.x), now
+
+
+Timed = law_of(  # position coupling that shows in its forces what it is told of time and gain
+    name="Timed", master_start=lambda self, at: (Meter(at.x, 0.0, 0.0), Place(at.x)),
+    slave_start=lambda self, at: (Meter(at.x, 0.0, 0.0), Place(at.x)),
+    master=lambda self, s, at, rx: told(self, s, at, rx, 1.0),
+    slave=lambda self, s, at, rx: told(self, s, at, rx, -1.0))
+
+
+def timed() -> Scene:
+    """A scene whose watchdog lets go and takes hold again."""
+    scene = load_scene("canonical", law=Timed(K=200.0), link="delay(0.01) | blackout(0.1, 0.1)")
+    return replace(scene, duration=0.4, watchdog=Watchdog(timeout=0.02, ramp=0.01, settle=0.02))
+
+
+def probe(end: str, spans: list[float], gains: list[float]) -> Any:
+    """`Timed` that writes down the spans and gains of each tick of an end."""
+    own = getattr(Timed, end)
+
+    def asked(self: Any, s: Meter, here: At, rx: Place) -> Any:
+        spans.append(here.span)
+        gains.append(here.gain)
+        return own(self, s, here, rx)
+
+    parts: dict[str, Any] = {end: asked}
+    return law_of(Timed, **parts)(K=200.0)
+
+
+@pytest.mark.parametrize("end", ["master", "slave"])
+def test_in_virtual_time_span_is_the_tick_and_gain_is_that_of_the_tick_before_or_one(end: str) -> None:
+    spans: list[float] = []
+    gains: list[float] = []
+    scene = replace(timed(), law=probe(end, spans, gains))
+    recorded = run(scene).trace[f"g_{end[0]}"]  # the contract asks the law for a few ticks before the run does
+    assert set(spans[-scene.ticks:]) == {scene.dt}
+    assert gains[-scene.ticks:] == [1.0, *recorded[:-1].tolist()]
+    assert 0.0 in gains
+    assert gains[-1] == 1.0
+    gains.clear()
+    run(replace(scene, watchdog=None))
+    assert set(gains) == {1.0}
+
+
+def test_a_law_that_names_neither_has_no_line_for_them_and_the_linear_steps_have_the_tick_for_span() -> None:
+    """Each end adds up its spans: an eigenvalue of one, and a constant force, which drops out."""
+    text = rendered(load_scene("canonical", law="direct"))
+    assert "dt, nan, nan))" in text
+    assert "span" not in text
+    scene = replace(load_scene("soft_tissue", law=Timed(K=200.0)), cap=None, watchdog=None)
+    assert linear_scene(scene).slave.A.shape[0] > 3

@@ -35,7 +35,7 @@ from teleop.stages.encoder import Encoder
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
 from tests.fakes import Motion, law_of
-from tests.teleop.law.test_span import Timed
+from tests.teleop.law.test_law import Timed
 from tests.teleop.protocol.ends import MS, ROUGH, SEED, START, Both, met, packet_in, reading, scene
 from tests.teleop.scene.unlike import LAWS, unlike
 from tests.teleop.stages.tumbling import tumbling
