@@ -1,14 +1,16 @@
-"""Contrasts: power and intervals by noncentral t, the model of person, condition and place, and its false alarms."""
+"""From answers to contrasts: exclusion, studies of every kind, power, least squares, and false alarms."""
 
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.special
 import scipy.stats
 
+from teleop.people.analysis import broken_rule
 from teleop.people.contrasts import (
     Value,
     between,
@@ -20,7 +22,11 @@ from teleop.people.contrasts import (
     unpaired_power,
     within,
 )
+from teleop.people.felt import felt_stiffness
+from teleop.people.plan import Exclusion, StudyPlan
+from teleop.people.recovery import study_of
 from teleop.people.schedule import williams
+from tests.teleop.people.plans import REACH, TEXT, plan_of
 
 
 def study(people: int, conditions: int, dice: np.random.Generator, *, effect: float = 0.0, learning: float = 0.0,
@@ -36,15 +42,13 @@ def study(people: int, conditions: int, dice: np.random.Generator, *, effect: fl
     return values
 
 
-def test_power_is_that_of_the_noncentral_t() -> None:
+def test_power_and_the_interval_of_an_effect_size_are_those_of_the_noncentral_t() -> None:
     for d, n, power in ((0.5, 34, 0.807778), (0.8, 15, 0.821311), (1.0, 10, 0.803097)):
         assert paired_power(d, n) == pytest.approx(power, abs=5e-7)
         assert people_needed(paired_power, d, 0.8) == n
         assert paired_power(d, n - 1) < 0.8
     assert unpaired_power(0.5, 64) == pytest.approx(0.801460, abs=5e-6)  # Cohen's table: 64 in each group
 
-
-def test_an_effect_size_has_the_interval_of_the_noncentral_t() -> None:
     for t, df in ((2.9, 10), (-4.413, 8), (0.3, 33), (12.0, 5)):
         low, high = noncentrality(t, df, 0.05)
         assert scipy.stats.nct.cdf(t, df, low) == pytest.approx(0.975, abs=1e-6)
@@ -96,6 +100,11 @@ def test_false_alarms_are_five_in_a_hundred_where_others_are_too_few_or_far_too_
     """
     dice = np.random.default_rng(5)
     alarms = dict.fromkeys(("model", "paired t", "trials together", "fixed order"), 0)
+
+    def p_of(difference: np.ndarray) -> float:
+        t = difference.mean() / (difference.std(ddof=1) / sqrt(len(difference)))
+        return float(2.0 * scipy.special.stdtr(len(difference) - 1, -abs(t)))
+
     for _ in range(1500):
         values = study(12, 2, dice, learning=-0.4)
         contrast = within(values, "A", "B")
@@ -103,13 +112,13 @@ def test_false_alarms_are_five_in_a_hundred_where_others_are_too_few_or_far_too_
         a, b = (np.array([each.value for each in values if each.condition == name]) for name in "AB")
         trials = [np.repeat(group, 10) + dice.normal(0.0, 0.5, 120) for group in (a, b)]
         alarms["model"] += contrast.p < 0.05
-        alarms["paired t"] += _p(a - b) < 0.05
+        alarms["paired t"] += p_of(a - b) < 0.05
         alarms["trials together"] += abs(np.diff([each.mean() for each in trials])[0]) > 1.97 * sqrt(
             sum(each.var(ddof=1) for each in trials) / 120)
         fixed = study(12, 2, dice, learning=-0.4, fixed=True)
         assert within(fixed, "A", "B") is None  # a fixed order tells no condition from its place
         c, d = (np.array([each.value for each in fixed if each.condition == name]) for name in "AB")
-        alarms["fixed order"] += _p(c - d) < 0.05
+        alarms["fixed order"] += p_of(c - d) < 0.05
     shares = {name: count / 1500 for name, count in alarms.items()}
     assert shares["model"] == pytest.approx(0.05, abs=0.015)
     assert shares["paired t"] < 0.035
@@ -122,13 +131,6 @@ def test_false_alarms_are_five_in_a_hundred_where_others_are_too_few_or_far_too_
     assert shares["fixed order"] > 0.24
 
 
-def _p(difference: np.ndarray) -> float:
-    """The p of a plain paired t test."""
-    n = len(difference)
-    t = difference.mean() / (difference.std(ddof=1) / sqrt(n))
-    return float(2.0 * scipy.special.stdtr(n - 1, -abs(t)))
-
-
 def test_holm_corrects_in_steps_and_never_falls() -> None:
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.5, 0.9]) == [1.0, 1.0]
@@ -138,3 +140,59 @@ def test_holm_corrects_in_steps_and_never_falls() -> None:
     assert all(a <= b for a, b in zip(np.array(corrected)[order], np.array(corrected)[order][1:], strict=False))
     assert min(corrected) == pytest.approx(min(1.0, 7 * min(p)))
     assert all(a >= b for a, b in zip(corrected, p, strict=True))
+
+
+ADAPTIVE = TEXT.replace("levels = [350.0, 700.0, 1000.0]\nrepeats = 4", "levels = [1000.0, 850.0, 700.0]\ntrials = 40")
+TARGETS = 'kind = "reach"\ndistances = [0.02, 0.05]\nwidths = [0.004]'
+PLANS = {
+    "staircase": ADAPTIVE.replace("standard", 'method = "staircase"\nstandard'),
+    "quest": ADAPTIVE.replace("standard", 'method = "quest"\nstandard'),
+    "orders at random": 'order = "random"\n' + TEXT,
+    "between": 'design = "between"\n' + REACH,
+    "press": REACH.replace(TARGETS, 'kind = "press"\nforces = [2.0, 5.0]').replace('"time"', '"overshoot"'),
+    "free": REACH.replace(TARGETS, 'kind = "free"').replace("[analysis]", '[[question]]\nkind = "tlx"\n[analysis]')
+                 .replace('"time"', '"tlx"'),
+}
+
+
+def study_plan(text: str, correction: str = "holm") -> StudyPlan:
+    """The plan with its contrast in both directions: two with the same p."""
+    return plan_of(text.replace('contrasts = [["smooth", "stiff"]]', f'correction = "{correction}"\n'
+                                'contrasts = [["smooth", "stiff"], ["stiff", "smooth"]]'))
+
+
+def test_each_rule_leaves_out_what_is_beyond_it_and_nothing_at_it() -> None:
+    row: dict[str, Any] = {"stopped": False, "time": 1.0, "skipped": 0.01, "loss": 0.1, "focus_lost": False, "again": 0}
+    for rules, beyond, reason in (
+            (Exclusion(shortest=1.0), {"time": 0.99}, "answered too soon"),
+            (Exclusion(longest=1.0), {"time": 1.01}, "took too long"),
+            (Exclusion(most_skipped=0.01), {"skipped": 0.02}, "skipped ticks"),
+            (Exclusion(most_loss=0.1), {"loss": 0.11}, "lost packets"),
+            (Exclusion(focus_lost=True), {"focus_lost": True}, "page not in front"),
+            (Exclusion(again=True), {"again": 2}, "run again")):
+        assert broken_rule(rules, row | beyond) == reason
+        assert broken_rule(rules, row) is None
+        assert broken_rule(rules, row | dict.fromkeys(("time", "skipped", "loss"))) is None, "nothing was measured"
+        assert broken_rule(Exclusion(), row | beyond) is None
+        assert broken_rule(rules, row | {"stopped": True}) == "stopped"
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_study_of_each_kind_is_simulated_and_analysed(name: str) -> None:
+    plan = study_plan(PLANS[name])
+    found = study_of(plan, felt_stiffness(plan), 8)
+    people = 4 * plan.conditions_each
+    assert [each.people for each in found.after.summaries] == [people, people]
+    assert all(each.low < each.mean < each.high for each in found.after.summaries)
+    assert found.after.trials == 2 * people * plan.task.per_condition
+    first, second = found.after.contrasts
+    assert (first.estimate, first.t) == pytest.approx((-second.estimate, -second.t))
+    assert first.people == 8
+
+
+def test_p_values_are_corrected_only_where_the_plan_says_so() -> None:
+    for correction, times in (("holm", 2.0), ("none", 1.0)):
+        plan = study_plan(TEXT, correction)
+        found = study_of(plan, felt_stiffness(plan), 8).after.contrasts
+        assert [each.p_corrected for each in found] == pytest.approx([min(1.0, times * each.p) for each in found])
+        assert found[0].p < 0.5

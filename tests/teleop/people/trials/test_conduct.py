@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+import shutil
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from shutil import copytree
 from tempfile import mkdtemp
 from types import SimpleNamespace
 from typing import Any, cast
@@ -19,12 +20,12 @@ from teleop.__main__ import main
 from teleop.errors import Refused
 from teleop.law import known_laws
 from teleop.live.page.controls import Controls
+from teleop.live.records.reader import FILE
 from teleop.people.journal import Journal
 from teleop.people.plan_file import read_plan
 from teleop.people.study import Study, create_study, open_study
 from teleop.people.trials.conduct import LATE_TURNS, Screen, TrialConduct
 from teleop.people.trials.rig import Rig
-from tests.teleop.people.trials.rig import FakeRig
 
 PLAN = '''
 name = "try"
@@ -72,13 +73,85 @@ KEYS = {
                "intervals", "kind", "items", "points", "pairs", "noun"},
 }
 TAKES = {"wave": 0.12, "tdpa": 0.38}  # s from a turn's order to full force, as the two laws take them
-
-
 MADE: dict[str, Path] = {}  # folder of a study by its plan: what is felt of each wall is measured once
+
+RIG_COLUMNS = {"m": ["k", "late_ns", "seq", "x_m", "f_m"], "s": ["k", "late_ns", "seq", "x_s", "f_s"]}
+DELAY = 20  # ticks, of the link each way
+
+
+class FakeRig:
+    """A stand-in of the three processes: the master follows the hand, the slave 20 ms later, on the clock `now` (s).
+
+    `takes(knobs)`: s from a turn's order to full force. Its records have a few rows.
+    """
+
+    def __init__(self, folder: Path, now: Callable[[], float], takes: Callable[[Mapping[str, str]], float]) -> None:
+        self._folder, self._now, self._takes = folder, now, takes
+        self.lost, self.is_recorded = False, True
+        self.live: dict[str, dict[str, Any]] = {"m": {"loss": 0.0}, "s": {"loss": 0.0}}
+        self.done: list[tuple[str, Any]] = []  # what was asked of it, in order
+        self.hand: list[tuple[float, float]] = [(0.0, 0.0)]  # when the hand was moved, and where
+        self._ready_at, self._part = 0.0, 0
+        self.folders: dict[str, Path] = {}
+
+    def begin(self) -> None:
+        self.done.append(("begin", None))
+        self.lost = False
+
+    def turn(self, knobs: Mapping[str, str], home: Sequence[float]) -> None:
+        self.done.append(("turn", dict(knobs)))
+        self.write()
+        self._ready_at, self._part = self._now() + self._takes(knobs), self._part + 1
+        self.hand.append((self._now(), home[0]))
+        self.folders = {e: self._folder / f"{self._part:04d}" / name for e, name in (("m", "master"), ("s", "slave"))}
+
+    @property
+    def is_ready(self) -> bool:
+        return self._now() >= self._ready_at
+
+    def let_go(self) -> None:
+        self.done.append(("let go", None))
+        self.write()
+
+    def end_record(self) -> None:
+        self.done.append(("end", None))
+
+    def steer(self, to: Sequence[float] | None) -> None:
+        if to is not None:
+            self.hand.append((self._now(), to[0]))
+
+    def drop(self, folders: Sequence[Path]) -> None:
+        for folder in folders:
+            shutil.rmtree(folder.parent, ignore_errors=True)
+
+    @property
+    def tick(self) -> int:
+        return round(1e3 * self._now())
+
+    def at(self, k: int) -> float:
+        """Where the hand is at a tick, m."""
+        return next(to for since, to in reversed(self.hand) if k >= 1e3 * since or since == 0.0)
+
+    def places(self) -> dict[str, Any]:
+        k = self.tick
+        return {"hand": (self.at(k),), "master": (self.at(k),), "slave": (self.at(k - DELAY),)}
+
+    def path(self, e: str, count: int) -> list[Any]:
+        return [(self.at(k - DELAY),) for k in range(self.tick - count + 1, self.tick + 1)]
+
+    def write(self) -> None:
+        """Write the records of the newest turn, of the last three seconds."""
+        for e, folder in self.folders.items():
+            folder.mkdir(parents=True, exist_ok=True)
+            header = {"end": e, "dt_ns": 1_000_000, "axes": 1, "scene": "hard_wall", "knobs": {}, "seed": 0,
+                      "mode": "live", "force": "sensor", "columns": RIG_COLUMNS[e]}
+            rows = b"".join(struct.pack("<5d", k, 0.0, max(-1, k - DELAY), self.at(k - DELAY * (e == "s")),
+                                        100.0 * self.at(k)) for k in range(max(0, self.tick - 3000), self.tick + 1))
+            (folder / FILE).write_bytes(json.dumps(header).encode() + b"\n" + rows)
 
 
 class Sitting:
-    """A session with a stand-in of the three processes, on a clock that the test moves."""
+    """A session on a clock that the test moves."""
 
     def __init__(self, folder: Path, plan: str, *, takes: Callable[[Mapping[str, str]], float] | None = None,
                  study: Study | None = None, device: str | None = None) -> None:
@@ -93,7 +166,7 @@ class Sitting:
             create_study(read_plan(path), made, entropy=1)
             MADE[plan] = made
         if study is None:
-            copytree(MADE[plan], folder / "study")
+            shutil.copytree(MADE[plan], folder / "study")
         self.study = study or open_study(folder / "study")
         self.journal: Journal = self.study.journal(1)
         self.rig = FakeRig(folder / "live", lambda: self.t, takes or (lambda knobs: TAKES[knobs["law"]]))
@@ -210,21 +283,18 @@ def test_a_law_that_takes_longer_was_told_by_the_time_between_two_trials(sitting
     assert not any(row["late_turn"] for row in at.trials)
 
 
-def test_a_turn_that_takes_longer_is_done_again_and_flagged(sitting: Callable[..., Sitting]) -> None:
-    slow = iter([2.0, 2.0])
+@pytest.mark.parametrize("late", [2, LATE_TURNS])
+def test_a_turn_that_takes_longer_is_done_again_and_flagged_and_a_robot_that_is_never_ready_started_anew(
+    sitting: Callable[..., Sitting], late: int
+) -> None:
+    slow = iter([2.0] * late)
     at = sitting(takes=lambda _: next(slow, 0.1))
     at.carry_on(stop_after=2)
     assert [row["late_turn"] for row in at.trials] == [True, False]
-    walls = [knobs["k_e"] for what, knobs in at.rig.done if what == "turn"]
-    assert walls[0] == walls[1] == walls[2] != walls[3], "the first interval three times, then the second"
-
-
-def test_a_robot_that_is_never_ready_is_started_anew(sitting: Callable[..., Sitting]) -> None:
-    slow = iter([2.0] * LATE_TURNS)
-    at = sitting(takes=lambda _: next(slow, 0.1))
-    at.carry_on(stop_after=1)
-    assert ("begin", None) in at.rig.done
-    assert at.trials[0]["late_turn"]
+    assert (("begin", None) in at.rig.done) == (late == LATE_TURNS)
+    if late == 2:
+        walls = [knobs["k_e"] for what, knobs in at.rig.done if what == "turn"]
+        assert walls[0] == walls[1] == walls[2] != walls[3], "the first interval three times, then the second"
 
 
 def test_an_answer_counts_after_both_intervals_alone(sitting: Callable[..., Sitting]) -> None:

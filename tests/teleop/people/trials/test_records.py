@@ -1,9 +1,12 @@
-"""Records of a trial: compressed and made again to the bit, and what is measured of them."""
+"""Records of a trial, made again to the bit, what is measured of them, and markers beside other recordings."""
 
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ import pytest
 from teleop.errors import Refused
 from teleop.people.plan import TaskKind
 from teleop.people.schedule import Trial
+from teleop.people.trials.markers import lsl_markers
 from teleop.people.trials.records import begin_trial, keep, measure, rest_begins, unpack
 
 DT = 1e-3
@@ -96,3 +100,22 @@ def test_a_trial_that_is_begun_again_knows_how_often_it_was_cut(tmp_path: Path) 
     (tmp_path / "trial-007.part").mkdir()
     assert begin_trial(folder) == 3
     assert not (tmp_path / "trial-007.part").exists()
+
+
+def test_markers_go_out_as_a_stream_of_texts_and_without_pylsl_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[Any] = []
+
+    class Outlet:
+        def __init__(self, about: tuple[Any, ...]) -> None:
+            sent.append(about)
+
+        def push_sample(self, texts: list[str]) -> None:
+            sent.append(texts)
+
+    monkeypatch.setitem(sys.modules, "pylsl", SimpleNamespace(StreamInfo=lambda *about: about, StreamOutlet=Outlet))
+    mark = lsl_markers("try", 3)
+    mark("trial 1 interval 1")
+    assert sent == [("teleop-try", "Markers", 1, 0.0, "string", "try-sub-03"), ["trial 1 interval 1"]]
+    monkeypatch.setitem(sys.modules, "pylsl", None)
+    with pytest.raises(Refused, match=r"bilateral-teleop\[lsl\]"):
+        lsl_markers("try", 3)
