@@ -16,7 +16,7 @@ import pytest
 
 from teleop import At, Refused, Scene, Watchdog, load_scene, run
 from teleop.analysis.models.linear import linear_scene
-from teleop.law import BUILT_IN, At, find_law, known_laws, law_name, messages, reads, start_at
+from teleop.law import BUILT_IN, find_law, known_laws, law_name, messages, reads, start_at
 from teleop.laws import direct, pfra, wave
 from teleop.simulation.source import rendered
 from tests.fakes import law_of
