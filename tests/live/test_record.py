@@ -1,8 +1,13 @@
-"""The record on disk: rows as they come, and what is left of them after a kill, a full disk, or worse."""
+"""What a live end leaves on the disk: record and inputs as they come, and after a kill, a full disk, or worse."""
 
 from __future__ import annotations
 
 import json
+import math
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +15,9 @@ import numpy as np
 import pytest
 
 from teleop import Refused, load_result, load_scene
+from teleop.laws.wave import Back, Forth
 from teleop.live.records.end_result import NAMES, WAYS
+from teleop.live.records.inputs import ARRIVALS, INPUTS, MOST, InputWriter, input_columns, read_arrivals, read_inputs
 from teleop.live.records.merge import merge, recover, scene_of
 from teleop.live.records.reader import FILE, IDLE, GrowingRecord, TruncatedRecord, read_record
 from teleop.live.records.record import EVENTS, EVERY, NEWEST, RecordWriter, fresh_folder, read_events
@@ -18,7 +25,9 @@ from teleop.protocol.guard import Event
 from teleop.scene.library import ROOT
 from teleop.simulation.structure import columns
 from teleop.simulation.trace import EndRecord
+from teleop.stages.wave_integral import Integrals
 from teleop.terminal.run_table import table
+from tests.fakes import raising
 from tests.live.recording import add_rows, record_of
 
 SCENE = load_scene("hard_wall", duration=1.0)
@@ -50,13 +59,8 @@ def test_what_was_added_is_read_back_to_the_bit(tmp_path: Path) -> None:
     assert table_of(record).tolist() == [[*numbered(k)[2]] for k in ticks]
     assert (header["end"], header["scene"], header["dt_ns"]) == ("m", "hard_wall", 10**6)
     assert len(header["columns"]) == WIDTH + 3
-
-
-def test_the_columns_are_named_once_for_each_axis(tmp_path: Path) -> None:
-    scene = load_scene("recorded_reach")
-    about = {"scene": "recorded_reach", "knobs": {}, "seed": 0, "mode": "live", "command": []}
-    RecordWriter(scene, "m", tmp_path, about).begin("bodies")
-    assert read_record(tmp_path)[0]["columns"][:9] == ["k", "late_ns", "seq", "x_m", "x_m", "x_m", "v_m", "v_m", "v_m"]
+    RecordWriter(load_scene("recorded_reach"), "m", tmp_path, {**header, "scene": "recorded_reach"}).begin("bodies")
+    assert read_record(tmp_path)[0]["columns"][3:9] == ["x_m", "x_m", "x_m", "v_m", "v_m", "v_m"], "once for each axis"
 
 
 @pytest.mark.parametrize(("law", "column"), [("wave", False), ("pfra", True)])
@@ -88,18 +92,14 @@ def test_the_report_of_a_run_whose_law_was_edited_since_told_of_a_law_that_never
     assert load_result(folder, trust=True).ticks == 20
 
 
-def test_a_process_that_is_killed_leaves_all_but_the_last_rows(tmp_path: Path) -> None:
-    recorder = recorded(tmp_path, 2 * EVERY + 100)  # neither flushed nor closed
-    assert len(read_record(tmp_path)[1].ticks) == 2 * EVERY
+@pytest.mark.parametrize(("count", "knobs", "left"), [
+    (2 * EVERY + 100, {}, 2 * EVERY), (3, {}, 0), (3, {"dt": "0.5"}, 3)], ids=["late", "early", "of slow ticks"])
+def test_a_process_that_is_killed_leaves_a_record_with_all_but_the_last_rows(
+    count: int, knobs: dict[str, str], left: int, tmp_path: Path
+) -> None:
+    recorder = recorded(tmp_path, count, **knobs)  # neither flushed nor closed
+    assert list(read_record(tmp_path)[1].ticks) == [*range(left)]
     recorder.close()
-
-
-def test_a_process_that_is_killed_early_or_ticks_slowly_leaves_a_record_too(tmp_path: Path) -> None:
-    early, slow = tmp_path / "early", tmp_path / "slow"
-    open_still = recorded(early, 3), recorded(slow, 3, dt="0.5")
-    assert [len(read_record(folder)[1].ticks) for folder in (early, slow)] == [0, 3]
-    for recorder in open_still:
-        recorder.close()
 
 
 def test_a_row_that_was_cut_off_is_left_out_and_the_folder_says_so(tmp_path: Path) -> None:
@@ -140,20 +140,14 @@ def test_of_a_killed_end_that_had_joined_late_the_ticks_before_are_not_called_sk
     assert own["events"][0]["what"] == "joined"
 
 
-def test_a_record_without_rows_is_a_record(tmp_path: Path) -> None:
-    recorded(tmp_path, 0).close()
-    assert list(read_record(tmp_path)[1].ticks) == []
-
-
-@pytest.mark.parametrize("data", [
-    None, b"", b"\n", b"[]\n", b"3\n", b"{}\n", b'{"columns": 5}\n', b"\xff\xfe\n", b'{"columns": ["k"', bytes(100),
-])
-def test_what_is_no_record_is_refused_in_one_sentence(data: bytes | None, tmp_path: Path) -> None:
-    if data is not None:
-        (tmp_path / FILE).write_bytes(data)
-    with pytest.raises(Refused, match="holds no record of a live end") as refused:
-        read_record(tmp_path)
-    assert str(tmp_path) in str(refused.value)
+def test_what_is_no_record_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    for data in (None, b"", b"\n", b"[]\n", b"3\n", b"{}\n", b'{"columns": 5}\n', b"\xff\xfe\n", b'{"columns": ["k"',
+                 bytes(100)):
+        if data is not None:
+            (tmp_path / FILE).write_bytes(data)
+        with pytest.raises(Refused, match="holds no record of a live end") as refused:
+            read_record(tmp_path)
+        assert str(tmp_path) in str(refused.value), data
 
 
 def test_a_disk_that_is_full_before_the_run_is_no_place_for_it(tmp_path: Path) -> None:
@@ -178,55 +172,33 @@ def test_a_full_disk_is_remembered_and_never_raised(rows: int, later: int, troub
 # The folder
 
 
-def test_a_folder_that_nobody_kept_is_gone_with_its_parents(tmp_path: Path) -> None:
+def test_a_folder_that_nobody_kept_is_gone_with_its_parents_but_for_what_was_there_or_is_in_use(tmp_path: Path) -> None:
     with fresh_folder(tmp_path / "a" / "b" / "c"):
         (tmp_path / "a" / "b" / "c" / "file").write_text("")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_parent_that_was_there_or_is_in_use_stays(tmp_path: Path) -> None:
     (tmp_path / "old").mkdir()
     with fresh_folder(tmp_path / "old" / "new" / "mine"):
         (tmp_path / "old" / "new" / "another's").mkdir()
     assert [path.name for path in (tmp_path / "old" / "new").iterdir()] == ["another's"]
+    with pytest.raises(ZeroDivisionError), fresh_folder(tmp_path / "old" / "kept") as folder:
+        raising(ZeroDivisionError())(folder.keep())
+    assert (tmp_path / "old" / "kept").is_dir()
     with fresh_folder(tmp_path / "old" / "x"):
         pass
-    assert (tmp_path / "old").is_dir()
+    assert sorted(path.name for path in (tmp_path / "old").iterdir()) == ["kept", "new"]
 
 
-def test_a_folder_that_was_kept_stays_whatever_happens_then(tmp_path: Path) -> None:
-    def work() -> Any:
-        with fresh_folder(tmp_path / "mine") as folder:
-            folder.keep()
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        work()
-    assert (tmp_path / "mine").is_dir()
-
-
-@pytest.mark.parametrize("make", ["folder", "file", "dangling link"])
-def test_what_is_there_already_is_left_alone(make: str, tmp_path: Path) -> None:
-    at = tmp_path / "there"
-    if make == "folder":
-        at.mkdir()
-        (at / "file").write_text("mine")
-    elif make == "file":
-        at.write_text("mine")
-    else:
-        at.symlink_to("nowhere")
+def test_what_is_there_already_is_left_alone_and_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "inside").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "link").symlink_to("nowhere")
     before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(Refused, match="is there already; give another folder with --out"), fresh_folder(at):
-        pass
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    why = r"cannot write to .*file/x \(Not a directory\)"
-    with pytest.raises(Refused, match=why), fresh_folder(tmp_path / "file" / "x"):
-        pass
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    for at, why in (("folder", "is there already; give another folder with --out"), ("file", "is there already"),
+                    ("link", "is there already"), ("file/x", r"cannot write to .*file/x \(Not a directory\)")):
+        with pytest.raises(Refused, match=why), fresh_folder(tmp_path / at):
+            pass
+        assert sorted(tmp_path.rglob("*")) == before
 
 
 # Two records put together
@@ -288,15 +260,15 @@ def test_what_two_ends_counted_that_ran_together_is_told(tmp_path: Path) -> None
     assert not any("without the other" in note for note in result.notes)
 
 
-@pytest.mark.parametrize("ledger", ["E_link", "E_port"])
-def test_two_ends_that_met_twice_have_the_ledgers_of_their_last_session_alone(tmp_path: Path, ledger: str) -> None:
+def test_two_ends_that_met_twice_have_the_ledgers_of_their_last_session_alone(tmp_path: Path) -> None:
     """What the ports took up was below zero where one end's sum had begun anew and the other's had not: energy that
     nobody gave out."""
     ends = [end_of(tmp_path / e, e, range(1000), LONG, counted=990) for e in ("m", "s")]
     result = merge(SCENE, *ends)
-    assert np.isnan(result.trace[ledger][:700]).all()
-    assert np.isfinite(result.trace[ledger][700:]).all()
-    assert f"{ledger}_min" in result.metrics
+    for ledger in ("E_link", "E_port"):
+        assert np.isnan(result.trace[ledger][:700]).all()
+        assert np.isfinite(result.trace[ledger][700:]).all()
+        assert f"{ledger}_min" in result.metrics
     assert any("those of the last session, from t = 0.700 s on" in note for note in result.notes)
     assert result.packets["fwd"].sent == 990
 
@@ -317,16 +289,18 @@ def test_two_ends_that_met_for_the_first_time_after_a_turn_did_not_meet_anew(tmp
     assert not any("anew" in note for note in result.notes)
 
 
-@pytest.mark.parametrize("inside", [[], ["x-1"], ["x-1/master", "x-1/slave"]])
-def test_a_folder_without_a_record_names_one_that_has_one(inside: list[str], tmp_path: Path) -> None:
+def test_a_folder_without_a_record_names_one_that_has_one(tmp_path: Path) -> None:
     """It said FileNotFoundError."""
-    for each in inside:
-        recorded(tmp_path / each, 3).close()
-    said = f"one of its folders, for example {tmp_path / 'x-1'}" if inside else "the folder that a live end wrote"
-    for ask in (recover, scene_of):
-        with pytest.raises(Refused) as refused:
-            ask(tmp_path)
-        assert str(refused.value) == f"{tmp_path} holds no record; give {said}"
+    for i, inside in enumerate(([], ["x-1"], ["x-1/master", "x-1/slave"])):
+        top = tmp_path / str(i)
+        top.mkdir()
+        for each in inside:
+            recorded(top / each, 3).close()
+        said = f"one of its folders, for example {top / 'x-1'}" if inside else "the folder that a live end wrote"
+        for ask in (recover, scene_of):
+            with pytest.raises(Refused) as refused:
+                ask(top)
+            assert str(refused.value) == f"{top} holds no record; give {said}"
 
 
 def test_an_end_that_is_idle_writes_no_more_of_its_run_and_its_newest_rows_can_be_followed(tmp_path: Path) -> None:
@@ -353,3 +327,148 @@ def test_an_end_that_is_idle_writes_no_more_of_its_run_and_its_newest_rows_can_b
     assert not (tmp_path / IDLE).exists()
     assert list(read_record(tmp_path)[1].ticks) == [*range(700)]
     assert writer.trouble is None
+
+
+SUMMED = load_scene("hard_wall", duration=1.0, playout="integral")
+ABOUT = {"end": "m", "dt_ns": 10**6, "axes": 1, "scene": "hard_wall", "knobs": {"duration": "1.0"}, "seed": 0,
+         "mode": "live"}
+
+
+def inputs_of(folder: Path, count: int) -> InputWriter:
+    writer = InputWriter(SUMMED, "m", folder, ABOUT)
+    writer.begin(sensor=False)
+    for k in range(count):
+        writer.arrived(1, k, k * 10**6 + 7, k + 1)
+        heard = ((Back(0.5 * k),), (Integrals(0.001 * k, 2.0, 3.0),)) if k % 2 else (None, None)
+        inputs = k, (0.1 * k,), (-0.0,), None, k % 2 == 1, k - 3, *heard, 1.0, (0.25,), 1
+        writer.ticked(k, 1, inputs, None, (0.3 * k,), (Forth(0.7 * k),), (Integrals(0.002 * k, 4.0, 5.0),))
+    return writer
+
+
+def test_what_an_end_was_told_is_read_back_to_the_bit(tmp_path: Path) -> None:
+    inputs_of(tmp_path, 20).close()
+    found, came = read_inputs(tmp_path, SUMMED, ABOUT), read_arrivals(tmp_path)
+    assert found.header["columns"] == input_columns(SUMMED, "m", sensor=False)
+    rows = found.rows.part(0, 20)
+    assert rows[7].tolist()[:6] == [7.0, 1.0, 1.0, 1.0, 4.0, 1.0]
+    assert rows[7, found.places["rx"]].tolist() == [3.5]
+    assert rows[7, found.places["waves"]].tolist() == [0.007, 2.0, 3.0]
+    assert rows[8, found.places["waves"]].tolist() == [0.0, 0.0, 0.0]
+    assert rows[7, found.places["tx"]].tolist() == [0.7 * 7]
+    assert rows[7, found.places["sent"]].tolist() == [0.014, 4.0, 5.0]
+    assert np.signbit(rows[:, found.places["v_m"]]).all()
+    assert came.packet.tolist() == [*range(20)]
+    assert came.time_ns[3] == 3_000_007
+
+
+def test_a_full_disk_stops_what_is_written_of_the_inputs_and_never_the_loop(tmp_path: Path) -> None:
+    writer = inputs_of(tmp_path, 3)
+    writer._files[0].close()
+    writer._files[0] = Path("/dev/full").open("wb")  # noqa: SIM115 (the writer closes it)
+    writer.flush()
+    assert str(writer.trouble).endswith("No space left on device")
+    for _ in range(3):
+        writer.arrived(1, 0, 0, 0)
+        writer.flush()
+    writer.close()
+
+
+def test_a_flood_of_messages_does_not_fill_the_disk(tmp_path: Path) -> None:
+    writer = inputs_of(tmp_path, 1)
+    for _ in range(3 * MOST):
+        writer.arrived(1, 0, 0, 0)
+    writer.close()
+    assert len(read_arrivals(tmp_path).tick) == MOST + 1
+    assert str(writer.trouble).startswith(f"{2 * MOST} messages of the law that came are not in {ARRIVALS}")
+
+
+def edit(path: Path, **keys: Any) -> None:
+    first, rows = path.read_bytes().split(b"\n", 1)
+    path.write_bytes(json.dumps({**json.loads(first), **keys}).encode() + b"\n" + rows)
+
+
+@pytest.mark.parametrize(("spoil", "words"), [
+    (lambda at: at.unlink(), "to run again (No such file"),
+    (lambda at: at.write_bytes(b"3\n"), "must be an object"),
+    (lambda at: at.write_bytes(bytes(99)), "its first line is no header"),
+    (lambda at: edit(at, version=2), "is of version 2, and this release reads version 1"),
+    (lambda at: edit(at, dt_ns="x"), "dt_ns must be a whole number"),
+    (lambda at: (at.unlink(), at.symlink_to("/etc/passwd")), "it is a link"),
+], ids=["missing", "other", "zeros", "version", "shape", "link"])
+def test_what_is_no_record_of_inputs_is_refused_in_one_sentence(
+    spoil: Callable[[Path], object], words: str, tmp_path: Path
+) -> None:
+    inputs_of(tmp_path, 3).close()
+    for name, read in ((INPUTS, lambda: read_inputs(tmp_path, SUMMED, ABOUT)),
+                       (ARRIVALS, lambda: read_arrivals(tmp_path))):
+        spoil(tmp_path / name)
+        with pytest.raises(Refused) as refused:
+            read()
+        assert words in str(refused.value)
+        assert str(tmp_path) in str(refused.value)
+
+
+def test_inputs_of_another_scene_than_the_record_beside_them_are_refused(tmp_path: Path) -> None:
+    inputs_of(tmp_path, 3).close()
+    with pytest.raises(Refused, match="is not of the run whose record lies beside it"):
+        read_inputs(tmp_path, SUMMED, {**ABOUT, "scene": "canonical"})
+    with pytest.raises(Refused, match="its scene, tick or columns are others"):
+        read_inputs(tmp_path, load_scene("hard_wall", law="pfra"), ABOUT)
+
+
+def test_rows_that_are_cut_off_or_damaged_are_left_out_with_a_sentence(tmp_path: Path) -> None:
+    inputs_of(tmp_path, 20).close()
+    shutil.copytree(tmp_path, tmp_path / "cut")
+    for name in (INPUTS, ARRIVALS):
+        whole = (tmp_path / name).read_bytes()
+        (tmp_path / "cut" / name).write_bytes(whole[:-5])
+    with pytest.warns(TruncatedRecord, match="cut off in the middle of a row"):
+        assert len(read_inputs(tmp_path / "cut", SUMMED, ABOUT).rows) == 19
+    with pytest.warns(TruncatedRecord, match="row 19 and what came after it are lost"):
+        assert len(read_arrivals(tmp_path / "cut").tick) == 19
+    data = bytearray((tmp_path / ARRIVALS).read_bytes())
+    start = data.index(b"\n") + 1
+    data[start + 32 * 4 + 8 : start + 32 * 4 + 16] = (-1).to_bytes(8, "little", signed=True)
+    (tmp_path / ARRIVALS).write_bytes(data)
+    with pytest.warns(TruncatedRecord, match="damaged, with a row that is no packet of a run: row 4"):
+        assert len(read_arrivals(tmp_path).tick) == 4
+
+
+TICKS = 225_000
+
+CHILD = """
+import sys
+from pathlib import Path
+from teleop.live.records.merge import recover
+recover(Path(sys.argv[1]))
+peak = [line for line in open("/proc/self/status") if line.startswith("VmHWM:")]  # of this program alone, unlike rusage
+print(int(peak[0].split()[1]) // 1024)
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run whose two ends were killed after nearly four minutes."""
+    top = tmp_path_factory.mktemp("long")
+    ticks = [k for k in range(TICKS) if k % 1000]  # now and then one is left out
+    for e, name in (("m", "master"), ("s", "slave")):
+        record_of(top / name, e, ticks, events=[Event(0, "met", "session 1")], duration=f"{TICKS * 1e-3}",
+                  row=lambda k: (1000 + k % 77, k - 50 if k >= 50 else -1, 0.01 * math.sin(1e-3 * k))).close()
+    return top
+
+
+@pytest.mark.full
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems tell the peak otherwise")
+def test_the_end_of_half_an_hour_took_more_than_a_gigabyte(run: Path) -> None:
+    """1,285 MB for a master, 1,119 MB for a slave, 1,964 MB for both; later 389 MB for both, all columns at once.
+
+    An eighth of that run needs an eighth of it above an interpreter's 40 MB: 195, 175, 280, and later 84 MB.
+    """
+    for inside, most in ("master", 68), ("slave", 66), ("", 74):
+        done = subprocess.run([sys.executable, "-c", CHILD, str(run / inside)], capture_output=True, text=True,
+                              check=False)
+        assert done.returncode == 0, done.stderr
+        told = json.loads((run / inside / "summary.json").read_text())
+        assert told["ticks"] == TICKS - TICKS // 1000
+        assert told["metrics"]["f_m_max" if inside != "slave" else "f_s_max"]["value"] == pytest.approx(0.01)
+        assert int(done.stdout) < most, inside
