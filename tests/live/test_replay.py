@@ -1,4 +1,4 @@
-"""A live run that is run again: the same to the bit, or the tick and the field where not; and open loop."""
+"""A live run that is run again: to the bit, or where it differs; open loop; and as a link in virtual time."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ import pytest
 
 from channel.recorded import Recorded
 from slave.wall import Wall
-from teleop import Device, Encoder, Integral, LowPass, Refused, load_scene
+from teleop import Device, Encoder, Fixed, Integral, LowPass, Playout, Refused, Result, Scene, Zero, load_scene, run
 from teleop.__main__ import main
 from teleop.live.records.inputs import ARRIVALS, INPUTS
-from teleop.live.records.reader import TruncatedRecord
+from teleop.live.records.reader import TruncatedRecord, read_record
+from teleop.live.records.record import read_events
 from teleop.live.replay.rerun import command_open_loop, difference, read_end
+from teleop.scene.playout import as_typed
 from tests.live.conftest import Pair
 from tests.live.recording import Recording
-from tests.teleop.protocol.virtual_clock import healing
+from tests.teleop.protocol.virtual_clock import MS, healing
 
 pytestmark = pytest.mark.live
 
@@ -158,7 +160,7 @@ def test_a_record_that_is_cut_off_is_replayed_as_far_as_it_goes_and_says_so(
     said = typed(folder, "--json")
     document = json.loads(said.out)
     assert (said.code, document["status"]) == (0, "same")
-    assert 0 < document["master"]["ticks"] < len(read_rows(folder))
+    assert 0 < document["master"]["ticks"] < len(read_record(folder)[1].ticks)
     assert "cut off in the middle of a row" in document["notes"][0]
 
 
@@ -206,22 +208,22 @@ def test_whatever_a_folder_of_others_holds_a_replay_ends_in_an_answer_or_in_one_
     assert len(codes) > 1
 
 
-def read_rows(folder: Path) -> Any:
-    from teleop.live.records.reader import read_record
-
-    return read_record(folder)[1].ticks
+def interrupted(out: Path, *, first: float, **other: Any) -> Recording:
+    """Two ends over a rough link that have run for `first` s, when the slave falls asleep for 1.5 s."""
+    world = Recording(healing(energy=True, duration=20.0, playout=Integral()), out=out, loss=0.1, jitter=30_000_000,
+                      copies=0.1, **other)
+    world.run(first)
+    world.pause("s", asleep=True)
+    world.run(1.5)
+    world.pause("s", asleep=False)
+    return world
 
 
 @pytest.mark.parametrize("every", [{"m": 1, "s": 1}, {"m": 2, "s": 1}], ids=["one rate", "two rates"])
 def test_sessions_that_begin_anew_pauses_and_other_rates_are_run_again_to_the_bit(
     every: dict[str, int], tmp_path: Path
 ) -> None:
-    scene = healing(energy=True, duration=20.0, playout=Integral())
-    world = Recording(scene, out=tmp_path, loss=0.1, jitter=30_000_000, copies=0.1, every=every)
-    world.run(2.0)
-    world.pause("s", asleep=True)
-    world.run(1.5)
-    world.pause("s", asleep=False)
+    world = interrupted(tmp_path, first=2.0, every=every)
     world.run(2.0)
     world.start("m")
     world.until_both_play(8.0)
@@ -240,16 +242,11 @@ def test_sessions_that_begin_anew_pauses_and_other_rates_are_run_again_to_the_bi
 
 def test_open_loop_over_sessions_that_begin_anew_the_messages_take_the_way_they_took(tmp_path: Path) -> None:
     """One that is started anew counts what waves have come to from the first message that it plays."""
-    scene = healing(energy=True, duration=20.0, playout=Integral())
-    world = Recording(scene, out=tmp_path, loss=0.1, jitter=30_000_000, copies=0.1)
-    world.run(1.0)
-    world.pause("s", asleep=True)
-    world.run(1.5)
-    world.pause("s", asleep=False)
+    world = interrupted(tmp_path, first=1.0)
     world.until_both_play(8.0)
     world.run(2.0)
-    ends = [read_end(folder, scene) for folder, _ in sorted(world.folders())]
-    for one in command_open_loop(ends, scene, scene).values():
+    ends = [read_end(folder, world.scene) for folder, _ in sorted(world.folders())]
+    for one in command_open_loop(ends, world.scene, world.scene).values():
         assert len(one.k) > 300
         assert np.abs(one.commanded).max() > 0.1
         assert np.array_equal(one.commanded, one.recorded)
@@ -273,3 +270,74 @@ def test_ends_that_go_by_packets_are_run_again_to_the_bit(
         assert end.inputs.sensor is (law == "pfra")
         assert difference(end, scene) is None
     assert not (master / ARRIVALS).exists()
+
+
+NOISE = 1e-9  # N
+
+
+def apart(folder: Path, e: str, result: Result, until: int | None = None) -> tuple[float, int]:
+    """The greatest difference of an end's force (N) at the ticks that it ran, and how many these were."""
+    header, record, _ = read_record(folder)
+    rows: Any = record.rows
+    ticks = np.asarray(record.ticks)
+    ticks = ticks[: len(ticks) if until is None else int(np.searchsorted(ticks, until))]
+    live = rows.table(0, len(ticks))[:, header["columns"][3:].index(f"f_{e}")]
+    assert np.array_equal(np.asarray(record.played)[: len(ticks)], result.trace[f"seq_{e}"][ticks])
+    return float(np.abs(live - result.trace[f"f_{e}"][ticks]).max()), len(ticks)
+
+
+def test_a_lossy_live_run_over_its_own_link_in_virtual_time_gives_its_forces(lossy: Path) -> None:
+    """Up to where an end let go, if the machine stalled it for so long: what a guard does then is not of the link."""
+    knobs = json.loads((lossy / "master" / INPUTS).read_bytes().split(b"\n")[0])["knobs"]
+    result = run(load_scene("hard_wall", **{**knobs, "link": f"recorded({str(lossy)!r})"}))
+    events = [event for name in ("master", "slave") for event in read_events(lossy / name)]
+    until = min((event["k"] for event in events if event["what"] in ("safe", "session")), default=2000)
+    for e, name in (("m", "master"), ("s", "slave")):
+        most, ticks = apart(lossy / name, e, result, until)
+        assert most <= NOISE
+        counts = json.loads((lossy / name / "summary.json").read_text())
+        assert until < 2000 or ticks == counts["ticks"]
+    if until == 2000:
+        assert np.abs(result.trace["f_m"]).max() > 0.1
+
+
+def asleep_for_a_while(folder: Path, playout: Playout) -> tuple[Recording, Scene]:
+    """Two seconds over loss, copies and jitter, both ends asleep for a while, with clocks that differ."""
+    scene = healing(energy=True, duration=2.0, dt=0.001, playout=playout)
+    found = Recording(scene, out=folder, loss=0.1, jitter=9 * MS, copies=0.1, noise=MS // 2)
+    found.until_both_play(1.0)
+    for e in "msms":
+        found.run(0.3)
+        found.pause(e, asleep=True)
+        found.run(0.03)
+        found.pause(e, asleep=False)
+    found.run(2.0)
+    return found, scene
+
+
+@pytest.mark.parametrize("playout", [
+    pytest.param(Integral(), marks=pytest.mark.full), Zero(), pytest.param(Fixed(0.04), marks=pytest.mark.full),
+], ids=as_typed)
+def test_left_out_ticks_and_arrivals_of_a_run_make_the_same_run_in_virtual_time(
+    playout: Playout, tmp_path: Path
+) -> None:
+    found, scene = asleep_for_a_while(tmp_path, playout)
+    folders = {e: folder for folder, e in found.folders()}
+    link = Recorded(str(folders["m"]), str(folders["s"]))
+    result = run(replace(scene, link=link))
+    assert result.status == "ok"
+    for e, folder in folders.items():
+        most, ticks = apart(folder, e, result, scene.ticks)
+        assert most <= NOISE
+        assert scene.ticks - 80 < ticks < scene.ticks - 40
+    without = run(replace(scene, link=Recorded(str(folders["m"]), str(folders["s"]), left_out=False)))
+    assert np.abs(without.trace["f_m"] - result.trace["f_m"]).max() > 1e-3
+    # The left out ticks come by time, whatever the tick.
+    own, half = (link.leaves_out(0, dt_ns) for dt_ns in (MS, MS // 2))
+    assert own is not None
+    assert half is not None
+    out = own.left_out(0, 2 * scene.ticks, 0)
+    assert np.array_equal(half.left_out(0, 2 * scene.ticks, 5), np.repeat(out[: scene.ticks], 2))
+    ran = np.asarray(read_record(folders["m"])[1].ticks)
+    assert np.array_equal(np.flatnonzero(~out[: ran[-1] + 1]), ran)
+    assert np.array_equal(out[ran[-1] + 1 :], out[: len(out) - ran[-1] - 1])  # and from the beginning again
