@@ -1,7 +1,8 @@
-"""The first mistakes of a device's author: each ends in a sentence before the end listens, or asks for anything."""
+"""Devices and robots by name, by file or by a maker; and the first mistakes of their authors, a sentence each."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from functools import partial
@@ -11,9 +12,13 @@ from typing import Any
 import pytest
 
 from slave.robot import SimulatedSlave
-from teleop import DeviceError, DeviceWatchdog, Reading, Refused, end_main, load_scene
-from teleop.live.devices.opening import open_device
+from teleop import DeviceError, DeviceWatchdog, Reading, Refused, Result, Scene, end_main, load_scene, run
+from teleop.__main__ import main
+from teleop.live.devices.opening import find_device, open_device
+from teleop.naming import DEVICE_KINDS
+from teleop.scene.catalogue import device_line
 from teleop.scene.library import ROOT
+from teleop.simulation.result import read_result
 from tests.fakes import Body, raising
 
 SCENE = load_scene("hard_wall", duration=0.1)
@@ -108,3 +113,157 @@ def test_the_carriage_of_the_examples_in_a_scene_of_three_axes_was_a_traceback(t
     assert done.stderr == ("teleop: the device cannot be opened: the carriage has one axis, the scene 3; take a scene "
                            "of one axis\n")
     assert list(tmp_path.iterdir()) == []
+
+
+ARM = """
+from teleop import Reading
+
+
+class Arm:
+    deadline = 0.1
+
+    def __init__(self, scene, port="none"):
+        self.port = port
+
+    def read(self, k):
+        return Reading((0.5,), (0.0,))
+
+    def hold(self, force):
+        pass
+"""
+
+
+def test_every_built_in_one_has_a_sentence_that_is_read_without_importing_it_and_is_listed_with_its_options(
+    capsys: pytest.CaptureFixture[str]
+) -> None:
+    for e in "ms":
+        for name, place in DEVICE_KINDS[e].built_in.items():
+            line = device_line(e, name, place)
+            assert line.endswith("."), name
+            assert "plug-in" not in line, name
+    assert main(["list", "csv"]) == 0
+    told = capsys.readouterr().out
+    assert "--device csv  A recorded motion of a master" in told
+    assert "--robot csv   A recorded motion of a slave" in told
+
+
+def test_a_built_in_robot_is_opened_by_its_name_and_a_file_of_ones_own_by_its_class_or_without_and_with_an_argument(
+    tmp_path: Path
+) -> None:
+    assert isinstance(find_device("s", "simulated").open(SCENE), SimulatedSlave)
+    file = tmp_path / "arm.py"
+    file.write_text(ARM)
+    assert find_device("m", str(file)).open(SCENE).read(0) == Reading((0.5,), (0.0,))
+    assert find_device("m", f"{file}:Arm:/dev/ttyACM0").open(SCENE).port == "/dev/ttyACM0"  # type: ignore[attr-defined]
+    assert find_device("s", f"{file}:Arm").open(SCENE).port == "none"  # type: ignore[attr-defined]
+
+
+ONE = load_scene("hard_wall", duration=1.0, delay=0.01)
+THREE = load_scene("recorded_reach", duration=1.0, delay=0.01)
+
+
+def exported(scene: Scene, folder: Path) -> Result:
+    """A run of `scene`, which is `run.csv` in the folder."""
+    result = run(scene)
+    (folder / "run").mkdir()
+    result.write(folder / "run", [])
+    assert main(["export", str(folder / "run"), "--csv", str(folder / "run.csv")]) == 0
+    return result
+
+
+@pytest.mark.parametrize(("scene", "e", "force"), [(ONE, "m", "f_h"), (ONE, "s", "f_env"), (THREE, "s", "f_env")])
+def test_what_was_exported_is_read_again_to_the_bit_at_every_tick(
+    scene: Scene, e: str, force: str, tmp_path: Path
+) -> None:
+    result = exported(scene, tmp_path)
+    device = find_device(e, f"csv:{tmp_path / 'run.csv'}").open(scene)
+    x, v, f = (result.trace[name].reshape(len(result.trace["t"]), -1) for name in (f"x_{e}", f"v_{e}", force))
+    device.hold((5.0,) * x.shape[1])
+    assert x.any()
+    for k in range(len(x)):
+        assert device.read(k) == Reading(tuple(x[k]), tuple(v[k]), tuple(f[k]))
+
+
+def test_a_recorded_reach_has_the_slope_behind_each_row_for_its_velocity_and_rests_at_its_ends(tmp_path: Path) -> None:
+    (tmp_path / "reach.csv").write_text("# by hand\nt, x\n0.010, 1\n0.020, 2\n0.040, 3\n")
+    device = find_device("m", f"csv:{tmp_path / 'reach.csv'}").open(ONE)
+    got = [(k, device.read(k).x[0], device.read(k).v[0]) for k in (0, 10, 15, 20, 30, 40, 41)]
+    assert got == [(0, 1.0, 0.0), (10, 1.0, 0.0), (15, pytest.approx(1.5), pytest.approx(100.0)),
+                   (20, 2.0, pytest.approx(100.0)), (30, pytest.approx(2.5), pytest.approx(50.0)),
+                   (40, 3.0, pytest.approx(50.0)), (41, 3.0, 0.0)]
+    assert device.read(15).f is None
+
+
+NO_MOTIONS = [
+    ("", ONE, "holds no motion"), ("t,x\n", ONE, "has names of columns and no row"),
+    ("t,x,y\n0,1,2\n", ONE, "holds a motion along 2 axes, and the scene has 1 (x); take a scene of 2"),
+    ("0,1,2\n", ONE, "holds a motion along 2 axes"),
+    ("t,x_m,v_m\n0,1,2\n", THREE, "holds a motion along 1 axis, and the scene has 3 (x, y, z)"),
+    ("t,x_s,v_s\n0,1,2\n", ONE, "has the slave's motion, x_s, and none of this end, x_m"),
+    ("t,x_m_a,x_m_b,x_m_c\n0,1,2,3\n", THREE, "has the axes x_m_a, x_m_b, x_m_c, and the scene's are x_m_x"),
+    ("time,x\n0,1\n", ONE, "has no column t, the time in s; it has time, x"),
+    ("t,q\n0,1\n", ONE, "has no column x_m, nor x; it has t, q"),
+    ("part,t,x_m\n1,0,1\n", ONE, "has several parts of a run"),
+    ("t,x\n0,1\n0,2\n", ONE, "line 3: t = 0 s does not come after 0 s"),
+    ("t,x\n0,1\n1,\n", ONE, "line 3 has nothing in its column x"), ("t,x\n0,1\n1\n", ONE, "line 3 has nothing"),
+    ("t,x\n0,NaN\n", ONE, "line 2: x is 'NaN' and no finite number"), ("t,x\n0,far\n", ONE, "x is 'far'"),
+    ("t,x_m_x,x_m_y,x_m_z,v_m_x\n0,1,2,3,4\n", THREE, "has v_m_x and no v_m_y and v_m_z"),
+]
+
+
+def test_a_file_that_is_no_such_motion_is_refused(tmp_path: Path) -> None:
+    for text, scene, words in NO_MOTIONS:
+        (tmp_path / "it.csv").write_text(text)
+        with pytest.raises(Refused) as refused:
+            find_device("m", f"csv:{tmp_path / 'it.csv'}").open(scene)
+        assert words in str(refused.value)
+
+
+def test_a_motion_in_rad_is_not_played_along_an_axis_in_m(tmp_path: Path) -> None:
+    """Six joints were played as metres: what an export has beside it was not read."""
+    joints = load_scene("leader_follower", duration=0.1)
+    exported(joints, tmp_path)
+    text = f"csv:{tmp_path / 'run.csv'}"
+    assert find_device("m", text).open(joints).read(0).x == (0.0,) * 6
+    with pytest.raises(Refused, match="has x_m_base in rad, and that axis of the scene is in m; take the scene"):
+        find_device("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))
+    (tmp_path / "run.csv-metadata.json").write_text("[1")
+    find_device("m", text).open(load_scene("bench_top", axes=6, names=",".join(joints.axis_names)))
+
+
+ROUGH = ["--set", "duration=0.3", "--link", "delay(0.02) | uniform(0.01) | bernoulli(0.1)", "--seed", "3"]
+
+
+def ran(capsys: pytest.CaptureFixture[str], out: Path, *words: str) -> dict[str, Any]:
+    """The summary that `teleop run` prints."""
+    assert main(["run", *words, "--out", str(out), "--json"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_with_the_simulated_ones_named_it_is_the_run_without_a_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain = ran(capsys, tmp_path / "plain", "arm", *ROUGH)
+    named = ran(capsys, tmp_path / "named", "arm", *ROUGH, "--device", "simulated", "--robot", "simulated")
+    own = ("command", "run_time", "path")
+    assert {k: v for k, v in named.items() if k not in own} == {k: v for k, v in plain.items() if k not in own}
+    one, other = (read_result(tmp_path / name).trace for name in ("plain", "named"))
+    assert list(one) == list(other)
+    assert all(one[name].tobytes() == other[name].tobytes() for name in one)
+
+
+def test_a_robot_in_mujoco_leaves_a_folder_as_every_run_does_and_one_of_no_file_is_refused_in_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
+    summary = ran(capsys, tmp_path / "run", "arm", *ROUGH, "--robot", "mujoco")
+    assert (summary["status"], summary["mode"], summary["robot"], summary["ticks"]) == ("ok", "virtual", "mujoco", 300)
+    assert summary["notes"][0].startswith("pressed slowly before the run along +x")
+    assert read_result(tmp_path / "run").trace["f_env"].shape == (300, 3)
+    assert main(["report", str(tmp_path / "run"), "--html", str(tmp_path / "page.html")]) == 0
+    assert "pressed slowly" in (tmp_path / "page.html").read_text()
+    capsys.readouterr()
+    assert main(["run", "arm", "--robot", "mujoco:none.xml", "--out", str(tmp_path / "out")]) == 2
+    assert "there is no file none.xml; write --robot mujoco:FILE.xml" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

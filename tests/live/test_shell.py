@@ -15,14 +15,12 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop import Energy, Fixed, Hold, Integral, Playout, Refused, Scaled, Watchdog, Zero, load_scene
+from teleop import Refused, Watchdog, load_scene
 from teleop.live.net.wire import Wire, bind_udp
-from teleop.live.options import ticks_of
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.merge import merge
 from teleop.live.records.reader import FILE
 from teleop.live.records.record import EVENTS
-from teleop.live.summary import missed_note, reading_note, sums_note
 from teleop.protocol.packet import DATA, Kind, peek
 from tests.fakes import Body, at_tick, wire_of
 from tests.live.conftest import make_shell
@@ -128,53 +126,6 @@ def test_a_stall_skips_whole_ticks_and_says_how_many(pair: Make) -> None:
     assert f"{slave.counts.skipped} of them skipped" in slave.outcome.sentence
     left_out = f"slave: {slave.counts.skipped} of {SCENE.ticks} ticks"
     assert any(note.startswith(left_out) for note in merge(SCENE, *both.write()).notes)
-
-
-def test_a_run_of_which_a_third_of_the_ticks_was_left_out_is_not_ok_without_a_word() -> None:
-    """On a busy machine the first demo said `ok`, with no force where virtual time has 0.94 N."""
-    scene = replace(SCENE, playout=Integral())
-    note = missed_note(3637, 10000, scene)
-    assert note is not None
-    assert note.startswith("3637 of 10000 ticks (36.4 %) were left out")
-    assert note.endswith("try --spin, real-time scheduling (without --no-realtime) or --rate 500")
-    refused, given = ({"scheduler": text} for text in ("no (Operation not permitted)", "SCHED_FIFO, priority 40"))
-    assert "`teleop doctor` says how" in str(missed_note(3637, 10000, scene, refused))
-    assert str(missed_note(3637, 10000, scene, given)).endswith("try --spin or --rate 500")
-    assert missed_note(100, 10000, scene) is None, "one of a hundred changes no force that a hand feels"
-    assert missed_note(0, 0, scene) is None, "an end that never came to a tick"
-
-
-def test_ticks_that_went_by_in_a_devices_read_are_laid_to_the_device() -> None:
-    note = str(reading_note(4900, 52_000_000, 10_000))
-    assert note.startswith("4900 of 10000 ticks went by while the device was read, for up to 52 ms at a time; ")
-    assert reading_note(100, 52_000_000, 10_000) is None
-    assert reading_note(0, 0, 0) is None
-
-
-def test_a_note_on_ticks_left_out_proposes_no_rate_that_is_refused() -> None:
-    zero, given = load_scene("hard_wall", playout=Zero()), {"scheduler": "SCHED_FIFO, priority 40"}
-    with pytest.raises(Refused, match="--rate 500 is not the scene's"):
-        ticks_of(zero, 500.0, lockstep=False, spin=False)
-    assert str(missed_note(3637, 10000, zero, given)).endswith("or try --spin")
-
-
-@pytest.mark.parametrize(("playout", "said"), [
-    (Integral(), "its queue of waves grows as long as the longest gap"),
-    (Fixed(0.1, Integral()), "its queue of waves grows as long as the longest gap"),
-    (Zero(), "so a steady force fades (type --set playout=integral, at both ends)"),
-    (Fixed(0.1), "so a steady force fades (type --set playout=fixed:0.1:integral, at both ends)"),
-    (Hold(), "which is active"), (Scaled(0.5), "scaled down, so a steady force fades"), (Energy(), "in short bursts"),
-], ids=str)
-def test_a_note_on_ticks_that_were_left_out_says_what_the_playout_makes_of_them(playout: Playout, said: str) -> None:
-    """Of every playout it said that the force fades."""
-    assert said in str(missed_note(500, 1000, load_scene("hard_wall", playout=playout)))
-    assert "its law does without" in str(missed_note(500, 1000, load_scene("hard_wall", law="pfra", playout=playout)))
-
-
-def test_messages_whose_waves_do_not_add_up_are_said_in_a_note() -> None:
-    assert sums_note(0, "master") is None
-    assert str(sums_note(1, "slave")).startswith("the slave's waves do not add up: 1 message of it was not taken")
-    assert str(sums_note(7, "master")).startswith("the master's waves do not add up: 7 messages of it were not taken")
 
 
 def test_ticks_that_are_missed_at_the_very_end_are_counted_too(pair: Make) -> None:
