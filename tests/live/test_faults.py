@@ -1,4 +1,4 @@
-"""Whatever is raised, by whichever part, of whatever type: no force at once, both ends stop, the record is whole."""
+"""Whatever is raised, or sent as a number: no force at once, both ends stop, the record is whole."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from channel import LeftOut
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop import DeviceError, load_scene
+from teleop import DeviceError, load_result, load_scene, run
 from teleop.law.contract import Method
 from teleop.live import leaving
 from teleop.live.leaving import RETRY_NS
@@ -25,6 +27,9 @@ from teleop.live.records.reader import read_record
 from teleop.live.records.record import read_events
 from teleop.live.shell import TRACEBACK, fault_sentence
 from teleop.protocol.endpoint import Endpoint
+from teleop.scene.loading import live_knobs
+from teleop.scene.scene import Scene, both_ends
+from teleop.simulation.metrics import worked_out
 from tests.fakes import Body, at_tick, raising
 from tests.live.conftest import summary
 
@@ -344,3 +349,77 @@ def test_a_mistake_in_the_middle_of_a_run_is_told_with_its_line_and_holds_no_for
                                   for end in ("master", "slave")]
     assert all(said in end["sentence"] for end in ends)
     assert all(end["status"] == "stopped" for end in ends)
+
+
+SIZES = [("hard_wall", "m", 1e308), ("rubber", "s", 1e160), *[pytest.param(*each, marks=pytest.mark.full) for each in (
+    ("hard_wall", "s", 1e308), ("rubber", "m", 1e308), ("hard_wall", "m", 1e160))]]
+
+
+def hostile(shell: Any, size: float) -> None:
+    """From tick 100 on, have this end send `size` in every number of its messages, and as the energy that it put in."""
+    end = shell.endpoint
+    honest = end._datagram
+
+    def datagram(k: int, now: int, tx: tuple[Any, ...], sent: tuple[Any, ...] | None, row: Any) -> bytes | None:
+        if k > 100:
+            value = size if k // 20 % 2 else -size
+            tx = tuple(type(message)(*[value] * len(message)) for message in tx)
+            if sent is not None:  # what its waves have come to
+                sent = tuple(type(one)(one.T, value, size) for one in sent)
+            row = tuple(size if i == end.places.E_in else number for i, number in enumerate(row))
+        data: bytes | None = honest(k, now, tx, sent, row)
+        return data
+
+    end._datagram = datagram
+
+
+def strict(folder: Path) -> dict[str, Any]:
+    """Its summary, no number in which is anything that JSON does not know."""
+    def unknown(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    told: dict[str, Any] = json.loads((folder / "summary.json").read_text(), parse_constant=unknown)
+    return told
+
+
+@pytest.mark.parametrize(("name", "e", "size"), SIZES)
+def test_a_peer_that_sends_waves_of_1e308_leaves_a_summary_and_no_traceback_and_is_made_whole_if_it_was_killed(
+    name: str, e: str, size: float, pair: Callable[..., Any], tmp_path: Path
+) -> None:
+    scene: Scene = replace(load_scene(name, duration=0.3, law="wave"), link=None)
+    both = pair(scene)
+    hostile(both.shells[e], size)
+    both.run()
+    assert both.errors == {"m": None, "s": None}
+    folders = both.write()
+    merged = merge(scene, *folders)
+    merged.save(tmp_path / "merged")
+    for folder in (*folders, tmp_path / "merged"):
+        told = strict(folder)
+        assert told["status"] in ("ok", "stopped", "diverged")
+        assert load_result(folder).sentence == told["sentence"]
+    victim = strict(both.out / ("slave" if e == "m" else "master"))
+    assert victim["slave" if e == "m" else "master"]["stamp_margin"] == "-inf" or size < 1e200
+    # Where a tick was left out at the last moment, both may end before anything has overflowed.
+    lost = sorted(name for name, value in worked_out(scene, merged.trace).items() if not isfinite(value))
+    notes = [note for note in merged.notes if note.startswith("not finite, and so left out of the metrics")]
+    assert notes == [f"not finite, and so left out of the metrics: {', '.join(lost)}"] * bool(lost)
+    for folder in folders:
+        header, _, rows = (folder / "record.bin").read_bytes().partition(b"\n")
+        about = {**json.loads(header), "scene": name, "knobs": {"duration": "0.3", "link": "none", "law": "wave"}}
+        (folder / "record.bin").write_bytes(json.dumps(about).encode() + b"\n" + rows)
+        (folder / "summary.json").unlink()
+        (folder / "trace.npz").unlink()
+        assert "without a word" in load_result(folder).sentence
+        strict(folder)
+
+
+def test_a_pressed_wall_keeps_its_force_with_half_of_the_ticks_left_out() -> None:
+    """With zeros in the gaps the force was 0.0 N at 44 % of ticks left out."""
+    scene = both_ends(load_scene("hard_wall", **live_knobs("hard_wall", {"duration": "4"})))
+    pressed = run(load_scene("hard_wall", duration=4.0)).metrics["f_m_end"]
+    assert pressed > 2.0
+    for share in (0.1, 0.44):
+        trace = run(replace(scene, left_out_m=LeftOut(share), left_out_s=LeftOut(share))).trace
+        for name in ("f_m", "f_s"):
+            assert trace[name][-100:].mean() > 0.8 * pressed, (share, name)
