@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from channel import Bernoulli, Delay, UniformJitter
-from master.hand import Grip, Rest, Sine
+from master.hand import Grip, Sine
 from slave import Tissue, Wall
-from teleop import PFRA, At, Direct, Facts, MassDamper, Scene, load_scene, run
+from teleop import PFRA, At, Direct, Facts, MassDamper, Scene, run
 from teleop.laws.pfra import EPS, Back, PFRASums
 from teleop.physics.plant import free_space, move_free
 from teleop.stages.observer import coefficients, observe
@@ -43,16 +43,6 @@ def size(f: Vector) -> float:
     return sqrt(sum(part * part for part in f))
 
 
-@given(f_env=force, f_h_hat=force, kf=gain)
-@settings(max_examples=50)
-def test_in_one_axis_it_is_the_reflected_force_clipped_between_nothing_and_the_hands(
-        f_env: float, f_h_hat: float, kf: float) -> None:
-    if f_h_hat * f_h_hat < EPS:
-        return
-    clipped = min(max(kf * f_env, min(0.0, f_h_hat)), max(0.0, f_h_hat))
-    assert reflected(PFRA(kf=kf), (f_env,), (f_h_hat,))[0] == pytest.approx(clipped, rel=1e-15)
-
-
 @given(forces=vector, kf=gain)
 @settings(max_examples=50)
 def test_with_alpha_0_it_never_pushes_with_the_hand_nor_harder_than_the_hand(
@@ -62,19 +52,6 @@ def test_with_alpha_0_it_never_pushes_with_the_hand_nor_harder_than_the_hand(
     f_r = reflected(PFRA(kf=kf), f_env, f_h_hat)
     assert sum(a * b for a, b in zip(f_r, f_h_hat, strict=True)) >= 0.0
     assert size(f_r) <= size(f_h_hat)
-
-
-@given(forces=vector, kf=gain)
-def test_alpha_1_is_direct_reflection_bit_for_bit(forces: tuple[Vector, Vector], kf: float) -> None:
-    f_env, f_h_hat = forces
-    assert reflected(PFRA(kf=kf, alpha=1.0), f_env, f_h_hat) == tuple(kf * f for f in f_env)
-
-
-def test_a_force_across_the_hands_is_not_felt_and_one_along_is() -> None:
-    law = PFRA()
-    assert reflected(law, (0.0, 4.0, 0.0), (2.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
-    assert reflected(law, (1.5, 4.0, 0.0), (2.0, 0.0, 0.0)) == (1.5, 0.0, 0.0)
-    assert reflected(law, (3.0, 3.0, 3.0), (1.0, 1.0, 1.0)) == (1.0, 1.0, 1.0)
 
 
 # Whole runs
@@ -113,16 +90,6 @@ def test_a_master_at_rest_that_no_hand_has_held_is_never_moved(
     assert np.abs(trace["f_env"]).max() > 1.0
     assert not trace["x_m"].any()
     assert not trace["f_m"].any()
-
-
-def test_in_a_whole_run_the_reflection_keeps_to_the_observed_hand() -> None:
-    # In a light contact where the hand speeds up: there it pushes, and has something to resist with.
-    scene = load_scene("canonical", law=PFRA(kf=2.0), wall=-0.03, duration=3.0)
-    trace = run(scene).trace
-    f_m, f_h_hat = trace["f_m"], trace["f_h_hat"]
-    assert np.abs(f_m).max() > 1.0
-    assert (f_m * f_h_hat >= 0.0).all()
-    assert (np.abs(f_m) <= np.abs(f_h_hat)).all()
 
 
 # After letting go
@@ -211,23 +178,6 @@ def test_the_rest_that_is_felt_is_at_most_rest_gain_times_the_speed_and_in_its_o
     assert np.linalg.norm(felt) <= most + grain
     assert np.linalg.norm(felt) == pytest.approx(min(all_of_it, most), abs=grain)
     assert felt @ rest >= -grain * (1.0 + all_of_it)
-
-
-def thrown(law: PFRA, damping: float, axes: int = 1) -> float:
-    """The most that a master goes whose hand rests, the slave thrown out of a wall and tissue 50 ms away."""
-    hand = Grip(mass=0.1, k=2.0, d=0.1, reference=Rest())
-    scene = Scene(
-        law=law, master=MassDamper(mass=0.1, damping=damping), slave=MassDamper(mass=0.3, damping=0.1), duration=1.0,
-        environment=(Wall(k=1e4, d=1.0), Tissue(k=2e3, d=0.0, at=0.02), None)[:axes], axes=axes, observer=None,
-        start_s=(0.02, -0.02, 0.0)[:axes], link=Delay(0.05), hand=hand, x_limit=10.0,
-    )
-    return float(np.abs(run(scene).trace["x_m"]).max())
-
-
-def test_a_master_at_rest_stays_at_rest_whatever_is_lent_of_the_rest() -> None:
-    for axes in (1, 3):
-        assert thrown(PFRA(kf=10.0), 0.5, axes) == thrown(PFRA(rest_gain=100.0), 0.5, axes) == 0.0
-        assert thrown(PFRA(across=0.1), 0.5, axes) > 1e-3  # of a hand that rests all is across
 
 
 def speeds(law: PFRA, body: MassDamper, pushes: list[float], speed: float = 1.0) -> list[float]:

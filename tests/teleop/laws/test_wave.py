@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from math import pi, sqrt
 
 import mpmath
@@ -16,10 +14,8 @@ from channel import Bernoulli, Delay, Duplicate, UniformJitter
 from master.hand import Grip, Sine
 from slave.wall import Wall
 from teleop import At, Fixed, Hold, MassDamper, Playout, Scene, Wave, Zero, run
-from teleop.law import start_at
 from teleop.laws.wave import Back, Forth, WaveSlave
 from teleop.scene.parts import LinkLike
-from teleop.simulation.plan import plan
 
 
 def spread(low: float, high: float) -> st.SearchStrategy[float]:
@@ -125,14 +121,6 @@ def test_a_missing_wave_counts_as_zero_whatever_came_before(b: float, v: float, 
     assert stale == law.slave(WaveSlave(x), at(x, v), Forth(0.0))
 
 
-def test_it_starts_at_rest_where_the_slave_is() -> None:
-    law, here = Wave(), start_at(0.3, 0.0, float("nan"), 1e-3)
-    state, held = law.slave_start(here)
-    f_s, back, after = law.slave(state, at(x=0.3), held)
-    assert (f_s, back.w, after.x_d) == (0.0, 0.0, 0.3)
-    assert law.master_start(here) == ((), Back(0.0))
-
-
 # What the channel feels like
 
 
@@ -165,38 +153,21 @@ def z_in(b: float, z_load: float, T: float, frequency: float) -> complex:
     return complex(b * (1.0 - turn) / (1.0 + turn))
 
 
-FREE, CLAMPED = Wave(b=0.8, K=0.0, B=0.0), Wave(b=0.8, K=1e12, B=1e12)
-
-
-@pytest.mark.parametrize(("frequency", "magnitude"), [(1.0, 0.25994), (4.0, 2.46215)])
-def test_a_free_slave_feels_like_the_published_impedance(frequency: float, magnitude: float) -> None:
-    assert abs(impedance(FREE, frequency, 50)) == pytest.approx(magnitude, abs=5e-6)
-
-
 @pytest.mark.parametrize(("law", "z_load"), [
-    (FREE, 0.0), (CLAMPED, float("inf")), (Wave(b=0.8, K=0.0, B=2.0), 2.0), (Wave(b=0.8, K=0.0, B=0.3), 0.3)
+    (Wave(b=0.8, K=0.0, B=0.0), 0.0), (Wave(b=0.8, K=1e12, B=1e12), float("inf")), (Wave(b=0.8, K=0.0, B=2.0), 2.0),
+    (Wave(b=0.8, K=0.0, B=0.3), 0.3), (Wave(b=0.8, K=0.0, B=0.8), 0.8),  # matched: it sends nothing back
 ])
 def test_the_channel_transforms_an_impedance_like_a_transmission_line(law: Wave, z_load: float) -> None:
     for frequency in (1.0, 7.0, 18.0):
         want = z_in(0.8, z_load, 0.05, frequency)
         assert impedance(law, frequency, 50, seconds=12) == pytest.approx(want, rel=1e-9), frequency
-
-
-def test_a_matched_slave_sends_nothing_back() -> None:
-    for frequency in (1.0, 5.0, 33.0):
-        assert impedance(Wave(b=0.8, K=0.0, B=0.8), frequency, 50) == pytest.approx(0.8, rel=1e-12)
-
-
-def test_at_low_frequency_a_free_end_is_a_mass_and_a_clamped_end_a_spring() -> None:
-    """A mass b T = 0.04 kg, a spring b/T = 16 N/m, for T = 50 ms."""
-    omega = 2.0 * pi
-    assert impedance(FREE, 1.0, 50).imag / omega == pytest.approx(0.04, rel=0.04)
-    assert -impedance(CLAMPED, 1.0, 50).imag * omega == pytest.approx(16.0, rel=0.04)
+    published = [abs(z_in(0.8, 0.0, 0.05, frequency)) for frequency in (1.0, 4.0)]
+    assert published == pytest.approx([0.25994, 2.46215], abs=5e-6)
 
 
 # The energy of the link: what delay, loss, jitter, copies and the filling of gaps make of it
 
-MS = 1_000_000
+
 NO_REPEATS = Zero()
 
 
@@ -224,21 +195,16 @@ bodies = {
 }
 
 
-@given(delay=st.floats(0.0, 0.5), **bodies)
-@settings(max_examples=15)
-def test_the_link_never_gives_more_than_it_got_at_any_constant_delay(delay: float, b: float, **other: float) -> None:
-    assert lowest(scene(Wave(b=b), Delay(delay), **other)) >= -1e-9
-
-
-@given(delay=st.floats(0.0, 0.2), loss=st.floats(0.0, 0.9), jitter=st.floats(0.0, 0.05),
+@given(delay=st.floats(0.0, 0.5), is_constant=st.booleans(), loss=st.floats(0.0, 0.9), jitter=st.floats(0.0, 0.05),
        copies=st.floats(0.0, 1.0), seed=st.integers(0, 2**64 - 1),
        gaps=st.sampled_from([Zero(), Fixed(0.03), Fixed(0.15)]), **bodies)
-@settings(max_examples=15)
-def test_nor_with_random_loss_jitter_and_copies_if_the_gaps_are_zero(
-    delay: float, loss: float, jitter: float, copies: float, seed: int, gaps: Playout, b: float, **other: float
+@settings(max_examples=30)
+def test_the_link_never_gives_more_than_it_got_with_any_loss_jitter_and_copies_if_the_gaps_are_zero(
+    delay: float, is_constant: bool, loss: float, jitter: float, copies: float, seed: int, gaps: Playout, b: float,
+    **other: float
 ) -> None:
-    link = Delay(delay) | UniformJitter(jitter) | Bernoulli(loss) | Duplicate(copies, after=0.003)
-    assert lowest(scene(Wave(b=b), link, gaps, **other), seed) >= -1e-9
+    rough = Delay(delay) | UniformJitter(jitter) | Bernoulli(loss) | Duplicate(copies, after=0.003)
+    assert lowest(scene(Wave(b=b), Delay(delay) if is_constant else rough, gaps, **other), seed) >= -1e-9
 
 
 def test_holding_the_last_wave_makes_energy_in_the_whole_scene() -> None:
@@ -249,55 +215,3 @@ def test_holding_the_last_wave_makes_energy_in_the_whole_scene() -> None:
     zero = run(scene(Wave(b=2.0), link, Zero(), duration=4.0), seed=1)
     assert zero.metrics["E_link_min"] >= 0.0
     assert not any("E_link" in note for note in zero.notes)
-
-
-def stored(link: LinkLike, wave: Sequence[float], playout: Playout, seed: int) -> float:
-    """The smallest energy stored in one direction of a link at 1 kHz, into which `wave` is sent."""
-    u, count = np.asarray(wave), len(wave)
-    arrived = link.arrivals(0, count, MS, seed, 100)
-    played = np.array(plan(playout, arrived.packet, arrived.time_ns, count, MS).play)
-    fresh = played >= 0
-    newest = np.maximum.accumulate(played)
-    taken = np.where(fresh if playout == Zero() else newest >= 0, u[newest], 0.0)
-    return float(np.cumsum(0.5e-3 * (u * u - taken * taken)).min())
-
-
-TWO_TONES = [0.5 * (np.sin(2.0 * pi * 5.0 * t) + np.sin(2.0 * pi * 6.0 * t)) for t in np.arange(20_000) * 1e-3]
-
-
-@pytest.mark.parametrize("link", [
-    Delay(0.05) | Bernoulli(0.1), Delay(0.05) | UniformJitter(0.02) | Bernoulli(0.1)
-], ids=["loss", "loss and jitter"])
-def test_zero_for_a_lost_wave_is_passive_and_holding_the_last_one_is_not(link: LinkLike) -> None:
-    """Known numbers: 10 % loss, 50 ms, a two-tone wave at 1 kHz, 20 s; its signs."""
-    held = [stored(link, TWO_TONES, Hold(), seed) for seed in range(4)]
-    assert min(held) < 0.0
-    assert min(stored(link, TWO_TONES, Zero(), seed) for seed in range(4)) >= 0.0
-
-
-@dataclass(frozen=True)
-class Echo:
-    """Every packet arrives at once, and again `after` ticks later."""
-
-    after: int
-
-    def arrivals(self, direction: int, count: int, dt_ns: int, seed: int, size: int) -> Echo.Twice:
-        first = np.arange(count)
-        time = np.concatenate([first, first + self.after]) * dt_ns
-        order = np.argsort(time, kind="stable")
-        return self.Twice(np.concatenate([first, first])[order], time[order])
-
-    @dataclass(frozen=True)
-    class Twice:
-        packet: np.ndarray
-        time_ns: np.ndarray
-
-
-def test_a_copy_is_played_once_on_a_wave_made_to_be_told_twice() -> None:
-    """One wave in each ten ticks, doubled: a copy counted as fresh would give twice what was sent."""
-    wave = np.array([float(k % 10 == 0) for k in range(1000)])
-    link = Echo(after=4)
-    assert stored(link, wave, Zero(), 0) >= 0.0
-    arrived = link.arrivals(0, len(wave), MS, 0, 100)
-    told_twice = np.cumsum(0.5e-3 * wave**2)[-1] - 0.5e-3 * (wave[arrived.packet] ** 2).sum()
-    assert told_twice < -0.04

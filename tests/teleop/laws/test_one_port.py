@@ -1,18 +1,58 @@
-"""The virtual coupling: its integrators, the contact inside them, and the impedances that follow."""
+"""One-port laws: the virtual wall, and the virtual coupling with its integrators, contact and impedances."""
 
 from __future__ import annotations
 
 import cmath
-import math
 from dataclasses import replace
+from math import inf, isnan, nan, pi, sin
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from teleop import VirtualWall
 from teleop.law import At, find_law, reads, start_at
 from teleop.laws.virtual_coupling import Tool, VirtualCoupling, coupling_impedance, rendered_impedance, tool_impedance
+
+metres = st.floats(-1.0, 1.0)
+speeds = st.floats(-10.0, 10.0)
+
+
+def felt(law: VirtualWall, x: float, v: float) -> float:
+    """The force at a reading; what the law does not read is NaN."""
+    f_m, state = law.force((), At(x, v, nan, nan, nan, False, inf, nan))
+    assert state == ()
+    return f_m
+
+
+def test_inside_the_wall_is_a_spring_damper() -> None:
+    law = VirtualWall(K=800.0, B=2.0, at=0.03)
+    assert felt(law, 0.05, 0.25) == 800.0 * (0.05 - 0.03) + 2.0 * 0.25
+    assert felt(law, 0.05, -0.25) == 800.0 * (0.05 - 0.03) - 2.0 * 0.25
+
+
+@given(x=metres, v=speeds, at=metres)
+def test_it_pushes_out_or_not_at_all_and_only_inside(x: float, v: float, at: float) -> None:
+    f_m = felt(VirtualWall(K=500.0, B=3.0, at=at), x, v)
+    assert f_m >= 0.0
+    assert f_m == 0.0 or x > at
+
+
+def test_it_does_nothing_to_what_leaves_faster_than_the_spring_pushes_nor_on_its_surface_and_nan_stays_nan() -> None:
+    assert felt(VirtualWall(K=500.0, B=3.0), 0.01, -2.0) == 0.0
+    assert felt(VirtualWall(K=500.0, B=3.0, at=0.02), 0.02, 5.0) == 0.0
+    for x, v in ((nan, 0.0), (0.1, nan)):
+        assert isnan(felt(VirtualWall(B=1.0), x, v))
+
+
+def test_the_wall_has_no_memory_and_reads_position_and_velocity_alone() -> None:
+    assert VirtualWall().start(start_at(0.2, 0.0, 0.0, 1e-3)) == ()
+    assert reads(VirtualWall().force) == {"x", "v"}
+    assert find_law("virtual_wall")() == VirtualWall()
+
+
+# The virtual coupling
 
 DT = 1e-3
 METHODS = {"explicit": (0.0, 0.0), "semi-implicit": (0.0, 1.0), "trapezoid": (0.5, 0.5), "backward": (1.0, 1.0)}
@@ -26,7 +66,7 @@ def weighted(law: VirtualCoupling, weights: tuple[float, float]) -> VirtualCoupl
 
 def reading(x: float, v: float, dt: float = DT) -> At:
     """What the law reads; all else is NaN."""
-    return At(x, v, math.nan, math.nan, math.nan, False, math.inf, dt, dt)
+    return At(x, v, nan, nan, nan, False, inf, dt, dt)
 
 
 laws = st.builds(
@@ -92,7 +132,7 @@ def test_a_tool_that_starts_behind_the_surface_is_put_before_it() -> None:
 
 
 # Textbook facts on the unit circle.
-ANGLES = np.linspace(1e-3, math.pi, 50)
+ANGLES = np.linspace(1e-3, pi, 50)
 
 
 def test_springs_and_masses_are_active_lossless_or_passive_by_half_a_tick() -> None:
@@ -104,11 +144,11 @@ def test_springs_and_masses_are_active_lossless_or_passive_by_half_a_tick() -> N
                 E = tool_impedance(weighted(VirtualCoupling(mass=1e-30, k_e=700.0), METHODS[name]), z, DT)
                 assert E.real == pytest.approx(spring * 700.0 * DT, abs=1e-10), name
             E = tool_impedance(weighted(VirtualCoupling(mass=0.3, k_e=0.0), METHODS[name]), z, DT)
-            assert E.real == pytest.approx(mass * 0.3 / DT * math.sin(th / 2.0) ** 2, abs=1e-9 * abs(E)), name
+            assert E.real == pytest.approx(mass * 0.3 / DT * sin(th / 2.0) ** 2, abs=1e-9 * abs(E)), name
 
 
 def test_slowly_moved_the_tool_is_its_mass_damper_and_spring() -> None:
-    w = 2.0 * math.pi * 0.5
+    w = 2.0 * pi * 0.5
     for weights in WEIGHTS:
         sampled = tool_impedance(weighted(SOFT, weights), cmath.exp(1j * w * 1e-6), 1e-6)
         true = SOFT.mass * 1j * w + SOFT.damping + SOFT.d_e + SOFT.k_e / (1j * w)
@@ -134,7 +174,7 @@ def linearised(law: VirtualCoupling, z: complex) -> complex:
 @pytest.mark.parametrize("weights", WEIGHTS)
 def test_the_rendered_impedance_is_that_of_the_laws_own_lines(weights: tuple[float, float]) -> None:
     law = weighted(SOFT, weights)
-    for th in (0.02, 0.3, 1.1, 2.5, math.pi):
+    for th in (0.02, 0.3, 1.1, 2.5, pi):
         z = 1.05 * cmath.exp(1j * th)
         assert linearised(law, z) == pytest.approx(rendered_impedance(law, z, DT), rel=1e-6)
 
@@ -150,7 +190,7 @@ def test_coupling_and_tool_are_in_series_where_the_position_takes_the_new_veloci
 
 def needed(law: VirtualCoupling) -> float:
     """The device damping that passivity asks for in contact: max of -Re(Z/z) on the circle."""
-    return max(-(rendered_impedance(law, z, DT) / z).real for z in np.exp(1j * np.linspace(1e-3, math.pi, 500)))
+    return max(-(rendered_impedance(law, z, DT) / z).real for z in np.exp(1j * np.linspace(1e-3, pi, 500)))
 
 
 @given(law=laws)
@@ -164,12 +204,12 @@ def test_held_fast_the_bound_is_reached() -> None:
     assert needed(law) == pytest.approx(0.8, rel=1e-6)
 
 
-def test_nan_stays_nan() -> None:
-    for x, v in ((math.nan, 0.0), (0.1, math.nan)):
+def test_what_is_no_number_stays_so_in_the_tool() -> None:
+    for x, v in ((nan, 0.0), (0.1, nan)):
         f_m, tool = VirtualCoupling().force(Tool(0.0, 0.0, 0.0), reading(x, v))
-        assert all(map(math.isnan, (f_m, *tool)))
+        assert all(map(isnan, (f_m, *tool)))
 
 
-def test_it_reads_position_velocity_and_tick_alone() -> None:
+def test_the_coupling_reads_position_velocity_and_tick_alone() -> None:
     assert reads(VirtualCoupling().force) == {"x", "v", "span"}
     assert find_law("virtual_coupling")() == VirtualCoupling()
