@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from channel import LeftOut, LeftOutTicks
-from teleop import At, BestFit, Cap, Device, Encoder, EndFit, Levant, LowPass, Scene, Watchdog, Wave, load_scene, run
+from teleop import At, BestFit, Cap, Device, Encoder, EndFit, Levant, LowPass, Scene, Watchdog, load_scene, run
 from teleop.simulation import tick as ticks_of
 from teleop.simulation.source import lines
 from teleop.stages.end import End, Run
@@ -122,24 +122,6 @@ def _deaf(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_with_the_span_ignored_it_does_not(name: str, shares: tuple[float, ...]) -> None:
     for found, bound in deviations(CASES[name], shares):
         assert found > bound
-
-
-def test_the_commanded_point_of_a_wave_drifts_where_the_law_alone_ignores_the_span(
-        monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten seconds of free motion, a fifth of the slave's ticks left out: 0.9 mm rms off, 10 mm without `At.span`."""
-    scene = load_scene("free_motion", playout="integral")
-    full, slave = run(scene).trace["x_s"], Wave.slave
-
-    def off() -> float:
-        found = run(replace(scene, left_out_s=LeftOut(0.2)), seed=1).trace["x_s"]
-        return float(np.sqrt(np.mean((found - full) ** 2)))
-
-    def deaf(self: Wave, s: Any, at: At, rx: Any) -> Any:
-        return slave(self, s, At(at.x, at.v, at.f, at.f_held, at.dx, at.fresh, at.age, at.dt, at.dt), rx)
-
-    assert off() < 1.8e-3
-    monkeypatch.setattr(Wave, "slave", deaf)
-    assert off() > 5e-3
 
 
 # Stages that count ticks, to the bit

@@ -28,7 +28,6 @@ from teleop import (
 from teleop.kind import positions
 from teleop.law import known_laws, law_name, start_at
 from teleop.laws.pp import PositionPosition
-from teleop.physics.rotation import exp, log, product
 from tests.teleop.stages.tumbling import apart, counted, orientations, tumbling
 
 ROUGH = parse_link("delay(0.01) | uniform(0.02) | bernoulli(0.1)")
@@ -39,22 +38,6 @@ POSITIONS: dict[str, Any] = {
 }
 WAVES: dict[str, Any] = {"wave": Wave(b=0.02, K=1.0, B=0.02),
                          "wave_position": WavePosition(b=0.02, K=1.0, B=0.02, K_p=0.2, B_p=0.005)}
-
-
-def test_the_torques_of_a_coupling_are_those_of_its_potential() -> None:
-    """dV = K theta . (w_m - w_s) dt, V = K |theta|^2/2: by central differences, at any angle below pi."""
-    rng = np.random.default_rng(2)
-    K, h = 3.0, 1e-5
-
-    def theta(q_m: Any, q_s: Any) -> np.ndarray:
-        return np.array(log(*product(*q_m, q_s[0], *[-each for each in q_s[1:]])))
-
-    for _ in range(50):
-        q_m, q_s = [exp(*rng.normal(size=3)) for _ in "ms"]
-        w_m, w_s = rng.normal(size=3), rng.normal(size=3)
-        V = [0.5 * K * np.sum(theta(product(*exp(*(way * h * w_m)), *q_m), product(*exp(*(way * h * w_s)), *q_s)) ** 2)
-             for way in (-1.0, 1.0)]
-        assert (V[1] - V[0]) / (2.0 * h) == pytest.approx(K * theta(q_m, q_s) @ (w_m - w_s), abs=1e-8)
 
 
 @pytest.mark.parametrize("name", ["pp", *[pytest.param(name, marks=pytest.mark.full) for name in (
@@ -78,17 +61,6 @@ def test_waves_keep_an_offset_of_orientations_which_ties_between_these_draw_back
     left = {name: apart(*[orientations(run(tumbling(law=law, duration=9.0)).trace, e) for e in "ms"])[-1]
             for name, law in WAVES.items()}
     assert 0.02 < left["wave_position"] < 0.6 * left["wave"] < 0.1
-
-
-def test_a_sampled_spring_makes_of_two_turns_what_the_stage_says() -> None:
-    """|theta'|^2 = |p|^2 + theta . (d_m x d_s): and nothing where both ends turn alike."""
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        theta, d_m, d_s = rng.normal(size=3) * 2e-3, rng.normal(size=3) * 1e-3, rng.normal(size=3) * 1e-3
-        for turn, beyond in ((d_s, theta @ np.cross(d_m, d_s)), (d_m, 0.0)):
-            after = log(*product(*product(*exp(*d_m), *exp(*theta)), *exp(*-turn)))
-            p = theta + d_m - turn
-            assert np.dot(after, after) - p @ p == pytest.approx(beyond, rel=0.02, abs=3e-11)
 
 
 def turning(angle: float, **parts: Any) -> Scene:

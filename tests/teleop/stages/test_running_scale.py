@@ -126,15 +126,6 @@ def test_no_toggling_of_the_scale_makes_energy_of_a_law_that_makes_none(law: str
                     1.02 * stays - 1e-4), (seed, spans, scales[:2])
 
 
-def test_a_force_that_alone_were_scaled_would_make_energy_of_a_spring() -> None:
-    """The reason why there is one scale: a spring is pressed at q = 1/2 and let out at q = 2."""
-    x = np.concatenate([np.linspace(0.0, 0.1, 200), np.linspace(0.1, 0.0, 200)])
-    f, dx = 100.0 * (x[:-1] + x[1:]), np.diff(x)
-    q = np.where(dx > 0.0, 0.5, 2.0)
-    assert (f * dx).sum() == pytest.approx(0.0, abs=1e-12)
-    assert (q * f * dx).sum() == pytest.approx(-1.5, rel=1e-9), "of 1 J in the spring"
-
-
 # What the scale does
 
 

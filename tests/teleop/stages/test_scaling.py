@@ -12,10 +12,6 @@ from channel.delay import Delay
 from master.hand import Grip, Reach
 from slave.tissue import Tissue
 from teleop import Cap, Direct, Frame, MassDamper, Scaling, Scene, Wave, find_law, load_scene, run, seed_energy
-from teleop.simulation.bodies import exact_bodies
-from teleop.simulation.plan import link_plans
-from teleop.simulation.prepared import prepare
-from teleop.sweeps.kernels.kernel import LinkSchedule, RowInputs, available, figures, plain_kernel, tree_of
 
 SMALL = Scaling(scale_x=0.2, scale_f=0.5)  # a slave a fifth of the size, with half of the force
 
@@ -80,18 +76,6 @@ def test_a_scaling_of_one_is_none() -> None:
     assert all(np.array_equal(one[name], none[name]) for name in none)
 
 
-def test_tracking_compares_the_ends_in_the_masters_units_in_runs_and_in_kernels_alike() -> None:
-    of = scene(link=Delay(0.01), energy=True, duration=1.0)
-    result, ready = run(of), prepare(of)
-    water = LinkSchedule.of(link_plans(of, 0))
-    kernel = plain_kernel(of, exact_bodies(of), sorted(available(of)))
-    row = RowInputs(tree_of(of, exact_bodies(of), compiled=False), None, of.ticks, water, ready.reference)
-    (status, _, told), = figures(kernel, [row])
-    assert status == "ok"
-    assert told == {name: result.metrics[name] for name in told}
-    assert told["x_err_max"] < 0.05
-
-
 # Axis by axis
 
 EACH = (Scaling(scale_x=0.2, scale_f=0.5), Scaling(scale_x=3.0, scale_f=1.0), Scaling(scale_x=1.0, scale_f=0.25))
@@ -112,11 +96,6 @@ def test_each_axis_has_scales_of_its_own_and_is_the_scene_of_that_axis() -> None
     assert got.trace["E_port"] == pytest.approx(E_port, rel=1e-9, abs=1e-12)
     slave, master = got.trace["x_s"] / [0.2, 3.0, 1.0], got.trace["x_m"]
     assert got.metrics["x_err_max"] == pytest.approx(np.linalg.norm(slave[1:] - master[:-1], axis=1).max(), rel=1e-9)
-    kernel = plain_kernel(of, exact_bodies(of), sorted(available(of)))
-    water, ready = LinkSchedule.of(link_plans(of, 0)), prepare(of)
-    row = RowInputs(tree_of(of, exact_bodies(of), compiled=False), None, of.ticks, water, ready.reference)
-    (_, _, told), = figures(kernel, [row])
-    assert told == {name: got.metrics[name] for name in told}
 
 
 @pytest.mark.parametrize("law", ["tdpa", *[pytest.param(law, marks=pytest.mark.full) for law in ("two_layer", "pspm")]])
