@@ -19,6 +19,7 @@ from teleop.analysis.models.continuous import continuous
 from teleop.analysis.passivity.judge import two_ports
 from teleop.analysis.passivity.two_port import continuous_two_port
 from teleop.analysis.stability.assess import critical, is_stable, stability
+from teleop.law import start_at
 from teleop.law.offers import AgeRange as Age
 from teleop.laws import direct, four_channel, iss, p_d, pd_d, pp
 from teleop.laws.four_channel import FourChannel, FourChannelEnd
@@ -140,6 +141,15 @@ def test_fitted_to_the_facts_it_has_the_least_damping_that_breaks_no_condition(l
     assert replace(law, B=500.0).fitted(facts).B == 500.0
     silent = facts._replace(fwd=None)
     assert law.fitted(silent).B == law.B
+
+
+def test_a_spring_is_slack_by_as_much_as_the_watchdog_lets_go_and_rejoins_at_its_rate() -> None:
+    for law, state in ((PDamped(), SLACK), (PDDamped(), TIED), (PositionPosition(), DRAWN), (FourChannel(), UNTIED)):
+        for end, apart in (("master", 0.03), ("slave", -0.03)):
+            _, there = getattr(law, f"{end}_start")(start_at(0.0, 0.0, 0.0, 1e-3))
+            _, _, after = getattr(law, end)(state._replace(offset=0.01), at(0.03, 0.0, 0.0, gain=0.25), there)
+            wanted = (0.01 + 0.75 * (apart - 0.01)) * (1.0 - 1e-3 * law.rejoin)
+            assert after.offset == pytest.approx(wanted, rel=1e-12), (law, end)
 
 
 def test_an_end_that_was_let_go_goes_slack_and_is_drawn_back_slowly() -> None:

@@ -325,7 +325,8 @@ def test_no_more_is_played_than_came_whatever_the_model_says(
         came: list[tuple[float, float, float, bool, int]], mass: float, damping: float, tau: float) -> None:
     """And the port has what the books say: f v = (u^2 - p^2)/2. Ticks left out are paid before anything more is."""
     law, dt = WavePrediction(mass=mass, damping=damping, tau=tau), 1e-3
-    s, _ = law.master_start(moving(0.0))
+    s, first = law.master_start(moving(0.0))
+    assert not any((*s, *first)), "it begins with nothing to spend"
     for wave, guess, v, fresh, gap in came:
         overdrawn = min(s.S + dt * gap * (s.r**2 - s.p**2) / 2.0, 0.0)
         f, sent, s = law.master(s, moving(v, fresh=fresh, gap=gap), wave_prediction.Back(wave, guess))

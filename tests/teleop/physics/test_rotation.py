@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from itertools import product as pairs_of
-from math import cos, inf, isnan, nan, pi, sin
+from math import inf, isnan, nan, pi
 
 import mpmath
 import numpy as np
@@ -141,45 +140,6 @@ def test_what_one_end_sends_the_other_finds_where_it_is() -> None:
         step = (0.01, -0.02, 0.015)
         moved = turned(*there, *step)
         assert np.allclose(left_at(*p, *step), heard_at(*moved, *sent, *p), atol=3e-15)
-
-
-def omega(t: float) -> np.ndarray:
-    """An angular velocity whose axis turns, rad/s."""
-    return np.array((3.0 * cos(7.0 * t), 2.0 * sin(5.0 * t), 1.0 + cos(3.0 * t)))
-
-
-def phi(t: float) -> np.ndarray:
-    """Its integral, rad."""
-    return np.array((3.0 / 7.0 * sin(7.0 * t), 0.4 * (1.0 - cos(5.0 * t)), t + sin(3.0 * t) / 3.0))
-
-
-def counted(steps: int, correct: bool = False) -> tuple[float, ...]:
-    """The orientation after 1 s by the increments of phi, and with the next term of the series."""
-    q = (1.0, 0.0, 0.0, 0.0)
-    h = 1.0 / steps
-    for k in range(steps):
-        d = phi((k + 1) * h) - phi(k * h)
-        if correct:  # w x a of the middle of the step, by what the velocities at its ends say
-            d = d - h * h / 12.0 * np.cross(omega(k * h), omega((k + 1) * h))
-        q = turned(*q, *d)
-    return q
-
-
-def test_increments_of_phi_leave_out_what_the_module_says() -> None:
-    """Second order over a time; with the term that is named it is fourth, so that term is the one."""
-    true = counted(4000, correct=True)
-    back = (true[0], *[-each for each in true[1:]])
-    plain, named = [[float(np.linalg.norm(log(*product(*counted(n, correct), *back)))) for n in (50, 100, 200)]
-                    for correct in (False, True)]
-    for (coarse, fine), order in (*[(pair, 2.0) for pair in pairwise(plain)],
-                                  (named[:2], 4.0)):
-        assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
-    step = exp(10e-3, 100.0 * 0.5e-6, 0.0)  # of 1 ms at 10 rad/s, 100 rad/s^2 across it
-    fine = (1.0, 0.0, 0.0, 0.0)
-    for k in range(1000):
-        fine = turned(*fine, 10e-6, 100.0 * 1e-6 * (k + 0.5) * 1e-6, 0.0)
-    missed = log(*product(*fine, step[0], *[-each for each in step[1:]]))
-    assert missed == pytest.approx((0.0, 0.0, -(1e-3**3) / 12.0 * 10.0 * 100.0), abs=1e-9)
 
 
 # -- the rotation axes of a device: phi counted along its quaternions
