@@ -44,15 +44,20 @@ def reading(x: float, v: float = 0.0) -> Reading:
     return Reading((x,), (v,), (0.0,))
 
 
-def met(of: Scene, *, is_stepped: bool = False) -> dict[str, Endpoint]:
-    """Two ends that have agreed to start at START; `is_stepped`: each plays by the schedule of its link."""
+def met(of: Scene, *, is_stepped: bool = False, base: int = 0) -> dict[str, Endpoint]:
+    """Two ends that have agreed to start at START; `is_stepped`: each plays by the schedule of its link.
+
+    `base`: the tick at START, at which they join a run that has been going on.
+    """
     ends = {}
     plans = dict(zip("sm", link_plans(of, SEED), strict=True)) if is_stepped else {}
     for e in "ms":
         session = Session(master=e == "m", manifest=manifest_of(of), number=7)
-        begin(session, START, START)
+        begin(session, START - base * of.dt_ns, START)
         session.take_data(START)
         ends[e] = Endpoint(of, e, session, Stepped(plans[e]) if is_stepped else None)
+        if base:
+            ends[e].join(base)
     return ends
 
 
@@ -65,10 +70,11 @@ class Both:
     silent: Callable[[str, int], bool] = lambda _e, _k: False  # what an end sends at this tick is lost
     trouble: Callable[[str, int], str | None] = lambda _e, _k: None  # why an end may hold no force
     is_stepped: bool = False
+    base: int = 0  # the number of the first tick
     ends: dict[str, Endpoint] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.ends = met(self.scene, is_stepped=self.is_stepped)
+        self.ends = met(self.scene, is_stepped=self.is_stepped, base=self.base)
         self.sent: dict[str, list[bytes]] = {"m": [], "s": []}
         self.rows: dict[str, list[float]] = {"m": [], "s": []}
         self.played: dict[str, list[int]] = {"m": [], "s": []}
@@ -91,11 +97,11 @@ class Both:
             for direction, e in enumerate("ms"):
                 if e in skips and skips[e][k]:
                     continue
-                out = self.ends[e].tick(k, START + at, devices[e].read(k), self.trouble(e, k))
+                out = self.ends[e].tick(self.base + k, START + at, devices[e].read(k), self.trouble(e, k))
                 devices[e].hold(out.force)
                 self.ticks[e].append(k)
                 self.rows[e].extend(out.row)
-                self.played[e].append(out.played)
+                self.played[e].append(out.played - self.base if out.played >= 0 else -1)
                 self.held[e].append(out.force)
                 if out.datagram is None:
                     assert of.deadband is not None or self.ends[e].session.ended is not None

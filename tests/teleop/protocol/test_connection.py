@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from teleop.protocol.connection import Address, Connection
 from teleop.protocol.endpoint import Endpoint
 from teleop.protocol.guard import Event
@@ -45,24 +43,21 @@ class Two:
         return self
 
 
-@pytest.fixture
-def two() -> Two:
-    return Two().run(200)
-
-
-def test_the_slave_takes_the_address_of_the_master_that_starts_it_and_the_session_is_told_once(two: Two) -> None:
+def test_the_slave_takes_the_address_of_the_master_that_starts_it_and_the_session_is_told_once() -> None:
+    two = Two().run(200)
     assert (two.at[SLAVE].peer, two.at[MASTER].peer) == (MASTER, SLAVE)
     assert {(source, to) for source, _, to in two.sent} == {(MASTER, SLAVE), (SLAVE, MASTER)}
     assert connection("s").bye("done", 0) == [], "without a peer there is nobody to say goodbye to"
     for one in two.at.values():
         assert one.events() == [SessionBegun(7)]
-        assert one.events() == []
         one.endpoint.guard.tell(3, "safe", "why")
         assert one.events() == [Event(3, "safe", "why")]
         assert one.events() == []
 
 
-def test_a_datagram_from_elsewhere_is_counted_and_dropped_while_a_session_lasts(two: Two) -> None:
+def test_a_datagram_from_elsewhere_is_counted_and_dropped_while_a_session_lasts_unless_it_is_sealed() -> None:
+    """A sealed link knows its peer by keys."""
+    two = Two().run(200)
     copy: dict[Any, bytes] = {peek(data)[0]: data for _, data, _ in two.sent}
     for address, kinds in ((MASTER, (Kind.WELCOME, Kind.START)), (SLAVE, (Kind.WELCOME,))):
         one = two.at[address]
@@ -73,32 +68,26 @@ def test_a_datagram_from_elsewhere_is_counted_and_dropped_while_a_session_lasts(
     start = next(data for source, data, _ in two.sent if source == MASTER and peek(data)[0] is Kind.START)
     assert [to for _, to in two.at[SLAVE].receive(start, OTHER, two.now)] == [MASTER], "a copy draws no answer there"
     assert two.at[SLAVE].peer == MASTER
+    sealed = connection("s", sealed=True)
+    sealed.endpoint.session.begin(0, 10)
+    sealed.receive(copy[Kind.HELLO], OTHER, 20)
+    assert sealed.endpoint.rejected["address"] == 0
 
 
-def test_an_answer_to_a_hello_goes_to_the_host_that_asked_and_to_no_other(two: Two) -> None:
-    """The session is over, so that another master may ask; until it has started one the peer is the old one."""
-    slave = two.at[SLAVE]
+def test_an_answer_to_a_hello_goes_to_the_host_that_asked_and_a_master_asks_anew_where_it_was_told_to() -> None:
+    """The session is over, so that another master may ask; until it has started one the peer is the old one.
+
+    A slave with two addresses may have answered from the other one, and be started again on the first alone.
+    """
+    two = Two().run(200)
+    master, slave = two.at[MASTER], two.at[SLAVE]
     later = two.now + 3_000 * MS
     slave.endpoint.session.judge(later)
     (hello,) = connection("m", SLAVE, number=99).due(later)
     ((reply, to),) = slave.receive(hello[0], OTHER, later)
     assert (peek(reply)[0], to) == (Kind.WELCOME, OTHER)
     assert slave.peer == MASTER
-
-
-def test_a_new_session_is_asked_for_where_the_master_was_told_to_ask(two: Two) -> None:
-    """A slave with two addresses may have answered from the other one, and be started again on the first alone."""
-    master = two.at[MASTER]
     master.peer = OTHER
     master.endpoint.session.end("the session is over: as a test has it")
     ((data, to),) = master.due(two.now + 100 * MS)
     assert (peek(data)[0], to) == (Kind.HELLO, SLAVE)
-
-
-def test_a_sealed_link_knows_its_peer_by_keys_and_drops_nothing_for_its_address() -> None:
-    one = connection("s", sealed=True)
-    (hello,) = connection("m", SLAVE).due(0)
-    one.receive(hello[0], MASTER, 10)
-    one.endpoint.session.begin(0, 10)
-    one.receive(hello[0], OTHER, 20)
-    assert one.endpoint.rejected["address"] == 0

@@ -34,7 +34,7 @@ from teleop.simulation.virtual import run
 from teleop.stages.encoder import Encoder
 from teleop.stages.force_cap import Cap
 from teleop.stages.watchdog import Watchdog
-from tests.fakes import Motion, law_of
+from tests.fakes import Motion, law_of, usually
 from tests.teleop.law.test_law import Timed
 from tests.teleop.protocol.ends import MS, ROUGH, SEED, START, Both, met, packet_in, reading, scene
 from tests.teleop.scene.unlike import LAWS, unlike
@@ -166,6 +166,51 @@ def test_a_stepped_end_plays_what_the_schedule_says() -> None:
 def test_ends_that_go_by_packets_take_no_deadband() -> None:
     with pytest.raises(Refused, match="each end waits for the other's packet of every tick"):
         ticks_of(rough(Direct(), **DEADBAND), None, lockstep=True, spin=False)
+
+
+# A run whose ticks pass 2**32, of which a packet carries the last 32 bits
+
+WRAP = 2**32 - 200
+
+
+@usually("law, playout", [(law, playout) for law in (Wave(), PFRA(alpha=0.2)) for playout in (Zero(), Fixed(0.012))],
+         (Wave(), Zero()), (PFRA(alpha=0.2), Fixed(0.012)))
+def test_a_run_past_2_32_is_the_run_before_it_and_replays_and_numbers_far_off_change_nothing(
+    law: Any, playout: Any
+) -> None:
+    of = scene(law, playout=playout, watchdog=Watchdog(timeout=0.05, ramp=0.02, settle=0.05),
+               link=parse_link("delay(0.01) | uniform(0.002) | blackout(0.25, 0.07)"))
+
+    def far_off(k: int, both: Both) -> list[tuple[str, bytes]]:
+        """An old message, the first, and the newest under numbers that are far off."""
+        forged = []
+        for e, other in ("ms", "sm") if k > 30 else ():
+            packet = packet_in(both.sent[other][-1], both.ends[e].format.width)
+            seqs = [(packet.seq + off) % 2**32 for off in (5000, 2**31 - 1, 2**31, 2**31 + 1, -(2**30) - 50)]
+            forged += [(e, data) for data in (both.sent[other][min(k - 20, 220)], both.sent[other][0], *[
+                encode(packet._replace(seq=seq, echo=Echo(0, 0))) for seq in seqs])]
+        return forged
+
+    plain, wrapped = (Both(of, base=base).run() for base in (10_000, WRAP))
+    forged = Both(of, base=WRAP, intruder=far_off).run()
+    assert plain.rows == wrapped.rows == forged.rows
+    assert plain.played == wrapped.played == forged.played
+    for e in "ms":
+        one, other = plain.ends[e], wrapped.ends[e]
+        assert max(plain.played[e]) > 205
+        assert (one.received, one.link.lost(), one.link.reordered) == (
+            other.received, other.link.lost(), other.link.reordered)
+        assert (one.link.way.least, one.link.way.most, one.link.rtt.most) == (
+            other.link.way.least, other.link.way.most, other.link.rtt.most)
+        assert one.guard.entries == other.guard.entries == 2  # it joined, and the link was dark for 70 ticks
+        assert [event.k - 10_000 for event in one.guard.events] == [event.k - WRAP for event in other.guard.events]
+        assert set(forged.ends[e].rejected) == {"early", "old"}
+        assert forged.ends[e].rejected["early"] == 3 * (of.ticks - 31)
+        assert forged.ends[e].link.lost() == one.link.lost()
+        inbox: Any = other.inbox
+        assert inbox.refused == 0
+        assert inbox.received > 250
+        assert inbox._window.newest > WRAP + 200, "numbered from 0 again on the wire, they grow on inside"
 
 
 # Bad datagrams

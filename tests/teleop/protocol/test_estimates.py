@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop import Direct, Fixed, Scene, Zero
-from teleop.protocol.estimates import FEWEST, MOST_RTT_NS, LinkEstimates, PeerClock, Times
+from teleop.protocol.estimates import FEWEST, MOST_RTT_NS, LinkEstimates, PeerClock
 from tests.fakes import usually
 from tests.teleop.protocol.virtual_clock import MS, Clock, S, World, healing
 
@@ -37,31 +37,25 @@ def watched(peer: Clock, seconds: float, way: Any, hz: int = 200, start: int = 0
 # Figures
 
 
-def test_mean_least_and_most_are_those_of_the_numbers() -> None:
-    dice, times = Random(1), Times()
-    numbers = [dice.randrange(-100, 10**6) for _ in range(500)]
-    for each in numbers:
-        times.add(each)
-    assert (times.count, times.total, times.least, times.most) == (500, sum(numbers), min(numbers), max(numbers))
-    recent = sum(numbers[:200]) / 200
-    for each in numbers[200:]:
-        recent += (each - recent) / 200
-    assert times.recent == pytest.approx(recent)
-
-
 @settings(max_examples=50)
 @given(st.integers(0, 2**32), st.sampled_from([1, 2, 5]), st.integers(0, 10**6))
-def test_loss_order_and_jitter_are_those_of_the_link(seed: int, every: int, first: int) -> None:
+def test_loss_order_times_and_jitter_are_those_of_the_link(seed: int, every: int, first: int) -> None:
     dice, link = Random(seed), LinkEstimates(BAND)
     sent = [(first + i * every, i * every * MS) for i in range(300)]
     came = sorted((at + dice.randrange(40 * MS), seq, at) for seq, at in sent if dice.random() > 0.2)
     for now, seq, at in came:
         link.add(seq, at + 10**12, None, now - at, now)
-    seqs = [seq for _, seq, _ in came]
+    seqs, ways = [seq for _, seq, _ in came], [now - at for now, _, at in came]
     newest = [max(seqs[: i + 1]) for i in range(len(seqs))]
     assert link.lost(every) == (max(seqs) - min(seqs)) // every + 1 - len(seqs)
     assert link.loss(every) == pytest.approx(link.lost(every) / (link.lost(every) + len(seqs)))
     assert link.reordered == sum(b < top for top, b in zip(newest, seqs[1:], strict=False))
+    assert (link.way.count, link.way.total, link.way.least, link.way.most) == (
+        len(ways), sum(ways), min(ways), max(ways))
+    recent = sum(ways[:200]) / 200
+    for each in ways[200:]:
+        recent += (each - recent) / 200
+    assert link.way.recent == pytest.approx(recent)
     jitter = 0.0  # RFC 3550, 6.4.1: D(i,j) = (R_j - R_i) - (S_j - S_i), J += (|D| - J)/16
     for (r0, _, s0), (r1, _, s1) in pairwise(came):
         jitter += (abs((r1 - r0) - (s1 - s0)) - jitter) / 16
@@ -94,14 +88,12 @@ def test_the_drift_is_found_and_the_shift_follows_it(ppm: float, offset: int) ->
     assert clock.shift_ns == pytest.approx(59.0 * ppm * 1e3, abs=BAND + abs(ppm) * 2e3)
     back = watched(Clock(offset, ppm), 60.0, lambda _i: (0, 25 * MS))
     assert back.drift == pytest.approx(ppm * 1e-6, abs=1e-7), "whatever the ways, as long as they stay"
-
-
-@usually("ppm, seed", [(ppm, seed) for ppm in (0.0, 200.0, -200.0) for seed in range(4)], (0.0, 0), (-200.0, 1))
-def test_a_drift_is_seen_through_jitter_too(ppm: float, seed: int) -> None:
-    dice = Random(seed)
-    clock = watched(Clock(5, ppm), 100.0, lambda _i: (dice.randrange(10, 30) * MS, dice.randrange(10 * MS, 30 * MS)))
-    assert clock.drift == pytest.approx(ppm * 1e-6, abs=10e-6)
-    assert abs(clock.shift_ns - 99 * ppm * 1e3) < 3 * MS
+    for seed in range(2):
+        dice = Random(seed)
+        rough = watched(Clock(5, ppm), 100.0, lambda _i, dice=dice: (  # type: ignore[misc]
+            dice.randrange(10, 30) * MS, dice.randrange(10 * MS, 30 * MS)))
+        assert rough.drift == pytest.approx(ppm * 1e-6, abs=10e-6), "and through jitter"
+        assert abs(rough.shift_ns - 99 * ppm * 1e3) < 3 * MS
 
 
 @usually("step, ppm, there", [(step, ppm, there)
@@ -130,18 +122,14 @@ def test_a_clock_that_is_set_is_followed_for_the_ways_cannot_explain_it(step: fl
     assert clock.shift_ns == pytest.approx(step * S, abs=EPS)
 
 
-def test_what_nobody_can_have_sent_is_no_round_trip() -> None:
+@settings(max_examples=60)
+@given(st.lists(st.tuples(*[st.integers(-(2**63), 2**63 - 1)] * 4), max_size=60))
+def test_what_nobody_can_have_sent_is_no_round_trip_and_no_times_raise(times: list[tuple[int, int, int, int]]) -> None:
     clock = PeerClock(BAND)
     for t1, held, t4 in ((10, 0, 9), (0, 11, 10), (0, 0, MOST_RTT_NS + 1), (-(2**63), 0, 10), (2**63 - 1, 0, 0)):
         assert clock.add(t1, held, 0, t4) is None
     assert clock.offset_ns is clock.drift is None
     assert clock.add(0, 5, 7, 15) == 10
-
-
-@settings(max_examples=60)
-@given(st.lists(st.tuples(*[st.integers(-(2**63), 2**63 - 1)] * 4), max_size=60))
-def test_no_times_raise(times: list[tuple[int, int, int, int]]) -> None:
-    clock = PeerClock(BAND)
     for t1, held, t3, t4 in times:
         clock.add(t1, abs(held), t3, t4)
     assert clock.drift is None or isinstance(clock.drift, float)
@@ -158,28 +146,25 @@ def slow(**other: Any) -> Scene:
     return healing(Direct(K=200.0, B=5.0), dt=0.02, duration=700.0, **other)
 
 
-@pytest.mark.parametrize(("ppm", "playout", "jitter", "noise", "minutes"), [
-    ({"m": -200.0, "s": 200.0}, Zero(), 0, MS // 10, 2), ({"m": 400.0}, Fixed(0.08), 20 * MS, 0, 2),
-    pytest.param({"m": -100.0, "s": 100.0}, Zero(), 0, MS // 10, 10, marks=pytest.mark.full),
-    pytest.param({"m": 200.0}, Fixed(0.08), 20 * MS, 0, 10, marks=pytest.mark.full),
+@pytest.mark.parametrize(("ppm", "playout", "jitter", "noise"), [
+    ({"m": -200.0, "s": 200.0}, Zero(), 0, MS // 10), ({"m": 400.0}, Fixed(0.08), 20 * MS, 0), ({}, Zero(), 0, 2 * MS),
 ])
-def test_minutes_of_hundreds_of_ppm_are_a_tick_or_two(
-    ppm: dict[str, float], playout: Any, jitter: int, noise: int, minutes: int
+def test_two_minutes_of_hundreds_of_ppm_are_a_tick_or_two_and_the_noise_of_the_stamps_is_no_drift(
+    ppm: dict[str, float], playout: Any, jitter: int, noise: int
 ) -> None:
     clocks = {e: Clock(10**12 * (e == "s"), ppm.get(e, 0.0)) for e in "ms"}
-    world = World(slow(playout=playout), clocks=clocks, still=True, jitter=jitter, noise=noise).run(60.0 * minutes)
+    world = World(slow(playout=playout), clocks=clocks, still=True, jitter=jitter, noise=noise).run(120.0)
     apart = clocks["s"].ppm - clocks["m"].ppm
     for e in "ms":
         end = world.end(e)
         assert end.guard.events == []
         assert end.session.met == 1
-        drift = end.link.clock.drift
-        assert drift == pytest.approx((apart if e == "m" else -apart) * 1e-6, abs=20e-6)
-        assert abs(apart) * minutes >= 800.0
+        assert end.link.clock.drift == pytest.approx((apart if e == "m" else -apart) * 1e-6, abs=20e-6)
+        assert ppm or end.link.clock.shift_ns == 0
         assert end.link.way.least > 20 * MS - 20 * MS
         assert end.link.way.most < 20 * MS + jitter + 2 * 20 * MS
         assert dict(end.rejected) == {}
-        assert len(world.done[e]) == pytest.approx(3000 * minutes, abs=30)
+        assert len(world.done[e]) == pytest.approx(6000, abs=30)
         if isinstance(playout, Fixed):
             inbox: Any = end.inbox
             assert inbox.late == 0
@@ -209,10 +194,3 @@ def test_a_clock_that_is_set_makes_no_force_jump_and_they_go_on(step: float, who
     other = [done.true for done in world.done["s" if who == "m" else "m"]]
     assert max(b - a for a, b in pairwise(other)) < 0.05 * S, "and whose clock was left alone goes on ticking"
     assert world.end("m").session.met == world.end("s").session.met == 2, "one of them stood still"
-
-
-def test_the_noise_of_the_stamps_is_no_drift() -> None:
-    world = World(slow(), still=True, noise=2 * MS).run(60.0)
-    for e in "ms":
-        assert world.end(e).link.clock.drift == pytest.approx(0.0, abs=20e-6)
-        assert world.end(e).link.clock.shift_ns == 0

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from itertools import count, pairwise
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from teleop.protocol.estimates import AHEAD_NS, LEAD_NS, ROUNDS
 from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_of
-from teleop.protocol.packet import Echo, Kind, Packet, decode
+from teleop.protocol.packet import Echo, Kind, Packet
 from teleop.protocol.session import AGAIN_NS, RENEW_NS, Session
 from teleop.scene.loading import load_scene
 from tests.teleop.protocol.ends import packet_in
@@ -42,7 +41,6 @@ class Talk:
         return self.now + (self.slave_ahead if end is self.slave else 0)
 
     def send(self, end: Session, datagrams: list[bytes]) -> None:
-        """`end` sends these."""
         for data in datagrams:
             packet = packet_in(data)
             self.sent.append(packet)
@@ -69,8 +67,7 @@ class Talk:
         while self.now < until:
             while self._under_way and self._under_way[0][0] <= self.now:
                 _, _, end, data = heappop(self._under_way)
-                packet = packet_in(data)
-                self.send(end, end.receive(packet, self.clock(end)))
+                self.send(end, end.receive(packet_in(data), self.clock(end)))
             if self.now % (20 * MS) == 0:
                 self.flow()
             for end in (self.master, self.slave):
@@ -82,24 +79,20 @@ class Talk:
         return [packet.kind.name for packet in self.sent]
 
 
-def test_the_ends_agree_on_the_time_of_tick_0_and_then_fall_silent() -> None:
-    talk = Talk().run(2000 * MS)
-    assert talk.master.start_ns == talk.slave.start_ns is not None
-    assert talk.master.start_ns > 5 * 50 * MS + LEAD_NS
-    assert (talk.master.failure, talk.slave.failure) == (None, None)
-    assert talk.slave.number == 7
-    assert talk.kinds()[-1] == "START"
-    assert talk.kinds().count("START") <= 4  # two on their way before the first answer has come back
-    said = len(talk.sent)
-    talk.run(3000 * MS)
-    assert len(talk.sent) == said
-
-
-def test_tick_0_is_still_ahead_when_the_slave_hears_of_it() -> None:
-    talk = Talk(there=400 * MS, back=300 * MS)
-    while talk.slave.start_ns is None:
-        talk.run(talk.now + MS)
-    assert talk.slave.start_ns > talk.now
+def test_the_ends_agree_on_the_time_of_tick_0_which_is_still_ahead_and_then_fall_silent() -> None:
+    for there, back in ((25, 25), (350, 350)):
+        talk = Talk(there=there * MS, back=back * MS)
+        while talk.slave.start_ns is None:
+            talk.run(talk.now + MS)
+        assert talk.slave.start_ns > talk.now
+        talk.run(talk.now + 2000 * MS)
+        assert talk.master.start_ns == talk.slave.start_ns > 5 * 50 * MS + LEAD_NS
+        assert (talk.master.failure, talk.slave.failure, talk.slave.number) == (None, None, 7)
+        assert talk.kinds()[-1] == "START"
+        assert talk.kinds().count("START") <= 3 + (there + back) // 50  # on their way before the first answer is back
+        said = len(talk.sent)
+        talk.run(talk.now + 1000 * MS)
+        assert len(talk.sent) == said
 
 
 @settings(max_examples=25)
@@ -116,35 +109,14 @@ def test_the_clock_offset_is_within_half_the_round_trip_however_the_delays_are_s
     assert talk.slave.start_ns == talk.master.start_ns + talk.master.offset_ns
 
 
-def test_equal_delays_give_the_offset_itself() -> None:
-    talk = Talk(there=30 * MS, back=30 * MS, slave_ahead=123_456_789).run(2000 * MS)
-    assert talk.master.offset_ns == 123_456_789
-    assert talk.slave.start_ns == (talk.master.start_ns or 0) + 123_456_789
-
-
-def test_the_offset_is_taken_from_the_fastest_round_trip() -> None:
+def test_equal_delays_give_the_offset_itself_and_it_is_taken_from_the_fastest_round_trip() -> None:
     """The first round trips have their way back slowed down, which misleads by half of what it adds."""
-    talk = Talk(there=10 * MS, back=90 * MS).run(150 * MS)
+    talk = Talk(there=10 * MS, back=90 * MS, slave_ahead=123_456_789).run(150 * MS)
     talk.back = 10 * MS
     talk.run(2000 * MS)
     assert talk.master.rtt_ns == 20 * MS
-    assert talk.master.offset_ns == 0
-
-
-@pytest.mark.parametrize(("kind", "times"), [(Kind.HELLO, 6), (Kind.WELCOME, 1), (Kind.START, 1), (Kind.START, 6)])
-def test_what_is_lost_is_said_again(kind: Kind, times: int) -> None:
-    left = [times]
-
-    def lost(packet: Packet) -> bool:
-        left[0] -= packet.kind is kind
-        return packet.kind is kind and left[0] >= 0
-
-    talk = Talk(lost=lost).run(3000 * MS)
-    assert talk.master.start_ns == talk.slave.start_ns is not None
-    assert left[0] < 0
-    said = len(talk.sent)
-    talk.run(4000 * MS)
-    assert len(talk.sent) == said
+    assert talk.master.offset_ns == 123_456_789
+    assert talk.slave.start_ns == (talk.master.start_ns or 0) + 123_456_789
 
 
 @settings(max_examples=20)
@@ -155,6 +127,8 @@ def test_any_pattern_of_losses_delays_the_start_and_no_more(pattern: list[bool])
     talk.agree(8000 * MS)
     assert talk.master.start_ns == talk.slave.start_ns is not None
     assert (talk.master.failure, talk.slave.failure) == (None, None)
+    said = len(talk.run(talk.now + 2000 * MS).sent)
+    assert len(talk.run(talk.now + 1000 * MS).sent) == said
 
 
 def test_start_is_repeated_until_it_is_answered_or_messages_come() -> None:
@@ -187,17 +161,6 @@ def test_ends_that_differ_in_any_entry_both_stop_with_a_sentence_that_names_it_f
         sent = len(talk.sent)
         talk.run(300 * MS)
         assert len(talk.sent) == sent, name
-
-
-def test_a_slave_that_welcomes_what_is_another_run_is_left() -> None:
-    """Whatever the slave thinks: the master compares for itself."""
-    talk = Talk()
-    hello = decode(talk.master.due(0)[0], 1)
-    welcome = Packet(Kind.WELCOME, 7, 0, 5, None, {**MANIFEST, "law": "pfra"})
-    assert isinstance(hello, Packet)
-    replies = [decode(data, 1) for data in talk.master.receive(welcome, 10)]
-    assert [reply.kind for reply in replies if isinstance(reply, Packet)] == [Kind.BYE]
-    assert "law is wave" in str(talk.master.failure)
 
 
 # One session at a time
@@ -238,22 +201,17 @@ def test_a_running_session_is_not_taken_over_while_it_is_heard_nor_moved_by_a_se
     assert (slave.number, slave.start_ns, slave.farewell, slave.failure, slave.met) == (7, start, None, None, 1)
 
 
-def test_words_that_are_not_messages_do_not_keep_a_slave_from_being_taken_up() -> None:
-    """A recorded START or WELCOME of the session proves nobody's presence."""
-    slave = started(Session(master=False, manifest=MANIFEST), 1, 0)
-    for now in range(0, 3 * RENEW_NS, RENEW_NS // 4):
-        for packet in (Packet(Kind.START, 1, 0, 0, None, 5), Packet(Kind.WELCOME, 1, 0, 0, None, MANIFEST)):
-            slave.receive(packet, now)
-    assert slave.receive(hello(2), 2 * RENEW_NS)
-
-
 def test_a_second_master_waits_until_the_first_has_been_silent() -> None:
+    """Of messages: a recorded START or WELCOME of the session proves nobody's presence."""
     slave = started(Session(master=False, manifest=MANIFEST), 1, 0)
     assert slave.receive(hello(200), RENEW_NS // 2) == []
     assert slave.receive(hello(200, {"scene": "other"}), RENEW_NS // 2) == []  # nor can it stop the slave
     slave.take_data(RENEW_NS // 2)
     assert slave.receive(hello(200), RENEW_NS) == []
     assert (slave.number, slave.failure) == (1, None)
+    for now in range(RENEW_NS // 2, 2 * RENEW_NS, RENEW_NS // 4):
+        for packet in (Packet(Kind.START, 1, 0, 0, None, 5), Packet(Kind.WELCOME, 1, 0, 0, None, MANIFEST)):
+            slave.receive(packet, now)
     assert slave.receive(hello(200), 2 * RENEW_NS)
     assert (slave.number, slave.met) == (1, 1), "it is asked, and goes on in the session it has until START"
     assert slave.receive(Packet(Kind.START, 200, 0, 0, Echo(2 * RENEW_NS + 1, 0), 5), 2 * RENEW_NS) == []
@@ -263,25 +221,17 @@ def test_a_second_master_waits_until_the_first_has_been_silent() -> None:
     assert (slave.number, slave.met, slave.start_ns) == (200, 2, 5)
 
 
-def test_of_two_masters_who_ask_at_once_the_one_that_starts_has_the_slave() -> None:
+def test_a_start_counts_only_if_it_echoes_a_welcome_and_of_two_masters_the_one_that_starts_has_the_slave() -> None:
     slave = Session(master=False, manifest=MANIFEST)
     for number, now in ((1, 10), (2, 20), (1, 30)):
         assert slave.receive(hello(number), now)
-    assert slave.number is None
+    for echo in (None, Echo(11, 0), Echo(0, 0), Echo(-10, 0)):
+        assert slave.receive(Packet(Kind.START, 1, 0, 0, echo, 5), 40) == []
+    assert slave.receive(start_of(2, 10), 40) == []
+    assert (slave.number, slave.start_ns) == (None, None)
     assert slave.receive(start_of(2, 20), 40)
     assert slave.receive(start_of(1, 30), 50) == []
-    assert (slave.number, slave.met) == (2, 1)
-
-
-def test_a_start_counts_only_if_it_echoes_a_welcome_of_this_very_slave() -> None:
-    slave = Session(master=False, manifest=MANIFEST)
-    assert slave.receive(hello(1), 10)
-    for echo in (None, Echo(11, 0), Echo(0, 0), Echo(-10, 0)):
-        assert slave.receive(Packet(Kind.START, 1, 0, 0, echo, 5), 20) == []
-    assert slave.receive(Packet(Kind.START, 2, 0, 0, Echo(10, 0), 5), 20) == []
-    assert (slave.number, slave.start_ns) == (None, None)
-    assert slave.receive(start_of(1, 10), 20)
-    assert slave.start_ns == 5
+    assert (slave.number, slave.start_ns, slave.met) == (2, 5, 1)
 
 
 def test_a_slave_that_has_met_nobody_believes_nobody_and_no_clock_that_nobody_has() -> None:
@@ -296,19 +246,17 @@ def test_a_slave_that_has_met_nobody_believes_nobody_and_no_clock_that_nobody_ha
     assert (slave.number, slave.start_ns, slave.farewell, slave.failure) == (None, None, None, None)
 
 
-def test_a_master_takes_no_hello_and_no_word_of_another_session() -> None:
+def test_a_master_takes_no_hello_no_word_of_another_session_and_no_welcome_that_answers_nothing_or_is_of_another_run(
+) -> None:
     master = Session(master=True, manifest=MANIFEST, number=7)
     for packet in (hello(7), hello(8), Packet(Kind.WELCOME, 8, 0, 0, None, {"scene": "other"}),
-                   Packet(Kind.REFUSE, 8, 0, 0, None, "no"), Packet(Kind.BYE, 8, 0, 0, None, "go")):
+                   Packet(Kind.REFUSE, 8, 0, 0, None, "no"), Packet(Kind.BYE, 8, 0, 0, None, "go"),
+                   *[Packet(Kind.WELCOME, 7, 0, 0, None, MANIFEST)] * (3 * ROUNDS)):
         assert master.receive(packet, 0) == []
     assert (master.failure, master.farewell, master.start_ns) == (None, None, None)
-
-
-def test_a_welcome_that_answers_no_hello_is_no_measurement() -> None:
-    master = Session(master=True, manifest=MANIFEST, number=7)
-    for _ in range(3 * ROUNDS):
-        assert master.receive(Packet(Kind.WELCOME, 7, 0, 0, None, MANIFEST), 0) == []
-    assert master.start_ns is None
+    (bye,) = master.receive(Packet(Kind.WELCOME, 7, 0, 5, None, {**MANIFEST, "law": "pfra"}), 10)
+    assert packet_in(bye).kind is Kind.BYE, "whatever the slave thinks: the master compares for itself"
+    assert "law is wave" in str(master.failure)
 
 
 def test_a_farewell_reaches_the_other_end_with_its_reason() -> None:
@@ -321,30 +269,21 @@ def test_a_farewell_reaches_the_other_end_with_its_reason() -> None:
     assert (talk.master.left, talk.slave.left) == (True, False)
 
 
-def test_a_tick_0_that_is_further_ahead_than_any_master_sets_it_is_not_taken() -> None:
+def test_a_tick_0_that_is_further_ahead_than_any_is_neither_taken_nor_joined() -> None:
     """An end that believed it would hold still until then, for years if it was told so."""
-    talk = Talk().run(400 * MS)
-    assert talk.slave.met == talk.master.met == 1
     slave = Session(master=False, manifest=MANIFEST)
     [welcome] = slave.receive(Packet(Kind.HELLO, 9, 0, 5, None, MANIFEST), 1000)
-    seen = packet_in(welcome, 0)
     for ahead, begun in ((AHEAD_NS + 1, 0), (MOST_CLOCK_NS, 0), (AHEAD_NS, 1)):
-        slave.receive(Packet(Kind.START, 9, 0, 5, Echo(seen.sent_ns, 0), 1000 + ahead), 1000)
+        slave.receive(start_of(9, packet_in(welcome, 0).sent_ns, 1000 + ahead), 1000)
         assert slave.met == begun
-
-
-def test_a_running_slave_whose_tick_0_is_further_ahead_than_any_is_not_joined() -> None:
-    for ahead, joined in ((AHEAD_NS + 100 * MS, False), (AHEAD_NS - 100 * MS, True)):
+    for ahead, begun in ((AHEAD_NS + 100 * MS, 0), (AHEAD_NS - 100 * MS, 1)):
         master = Session(master=True, manifest=MANIFEST, number=7)
-        told = {**MANIFEST, TICK_0: str(ahead)}
-        for k in range(20):
-            now = k * 60 * MS
-            for data in master.due(now):
-                hello = packet_in(data, 0)
-                if hello.kind is Kind.HELLO:
-                    told[TICK_0] = str(now + ahead)
-                    master.receive(Packet(Kind.WELCOME, 7, 0, now, Echo(hello.sent_ns, 0), told), now)
-        assert (master.met == 1) is joined
+        for now in range(0, 1200 * MS, 60 * MS):
+            for packet in map(packet_in, master.due(now)):
+                if packet.kind is Kind.HELLO:
+                    told = {**MANIFEST, TICK_0: str(now + ahead)}
+                    master.receive(Packet(Kind.WELCOME, 7, 0, now, Echo(packet.sent_ns, 0), told), now)
+        assert master.met == begun
 
 
 def test_a_refusal_in_letters_of_several_bytes_fits_its_hello() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from teleop.protocol import states
 from teleop.protocol.estimates import LEAD_NS, ROUNDS
 from teleop.protocol.manifest import EVERY, MOST_EVERY, TICK_0
-from teleop.protocol.packet import MOST_CONTROL, Code, Echo, Kind, Packet, decode, encode
+from teleop.protocol.packet import MOST_CONTROL, Code, Echo, Kind, Packet, encode
 from teleop.protocol.session import AGAIN_NS, FIRST_NS, RENEW_NS, REPEATED, Session
 from teleop.protocol.states import CARRIES_DATA, MASTER, MEETING, SLAVE, Cause, SessionEvent, SessionState, Table
 from tests.teleop.protocol.diagrams import diagrams
@@ -27,7 +27,7 @@ def welcome(to: Packet, now: int, manifest: dict[str, str] = MANIFEST, **told: s
 
 
 def asked(data: list[bytes]) -> Packet:
-    (one,) = [packet for each in data if isinstance(packet := decode(each, 1), Packet)]
+    (one,) = map(packet_in, data)
     assert one.kind is Kind.HELLO
     return one
 
@@ -35,7 +35,10 @@ def asked(data: list[bytes]) -> Packet:
 # Silence
 
 
-def test_a_master_that_hears_nothing_asks_anew_under_the_next_number_and_both_keep_their_grid() -> None:
+@pytest.mark.parametrize("leaves", ["", "master", "slave"])
+def test_a_master_that_hears_nothing_asks_anew_under_the_next_number_and_both_keep_their_grid_or_hear_who_leaves(
+    leaves: str
+) -> None:
     talk = Talk().run(2000 * MS)
     before = talk.master.start_ns
     talk.lost = lambda _packet: True
@@ -43,29 +46,18 @@ def test_a_master_that_hears_nothing_asks_anew_under_the_next_number_and_both_ke
     assert (talk.master.number, talk.master.meeting) == (7, False)
     talk.run(2000 * MS + RENEW_NS + 60 * MS)
     assert (talk.master.number, talk.master.meeting, talk.slave.number) == (8, True, 7)
+    if leaves:  # the master is under the next number already, the slave still under the one before
+        gone, left = (talk.master, talk.slave) if leaves == "master" else (talk.slave, talk.master)
+        for data in gone.bye("the bus is gone", talk.now):
+            left.receive(packet_in(data), talk.now)
+        assert left.farewell == "the bus is gone"
+        return
     talk.run(8000 * MS)
     assert (talk.master.number, talk.master.met, talk.slave.met) == (8, 1, 1)  # it goes on asking under that number
     talk.lost = lambda _packet: False
     talk.run(9000 * MS)
-    assert (talk.master.number, talk.slave.number) == (8, 8)
-    assert (talk.master.met, talk.slave.met) == (2, 2)
-    assert talk.master.start_ns == talk.slave.start_ns == before
-    assert not talk.master.joined
-    assert not talk.slave.joined
-
-
-@pytest.mark.parametrize("leaves", ["master", "slave"])
-def test_who_leaves_while_the_master_asks_anew_is_heard(leaves: str) -> None:
-    """The master is under the next number already, the slave still under the one before."""
-    talk = Talk().run(2000 * MS)
-    talk.lost = lambda _packet: True
-    talk.run(2000 * MS + RENEW_NS + 60 * MS)
-    assert (talk.master.meeting, talk.master.number, talk.slave.number) == (True, 8, 7)
-    gone, left = (talk.master, talk.slave) if leaves == "master" else (talk.slave, talk.master)
-    for data in gone.bye("the bus is gone", talk.now):
-        packet = packet_in(data)
-        left.receive(packet, talk.now)
-    assert left.farewell == "the bus is gone"
+    for end in (talk.master, talk.slave):
+        assert (end.number, end.met, end.start_ns, end.joined) == (8, 2, before, False)
 
 
 def test_the_number_after_the_last_is_zero_and_a_farewell_of_a_session_long_gone_is_not_heard() -> None:
@@ -108,7 +100,7 @@ def test_a_session_without_any_message_has_twice_the_time_of_the_one_before_for_
 # Whose grid
 
 
-def test_a_master_that_comes_to_a_running_slave_takes_its_grid() -> None:
+def test_a_master_that_comes_to_a_running_slave_takes_its_grid_and_a_slave_to_a_running_master_is_told_it() -> None:
     talk = Talk(slave_ahead=-123_456_789).run(2000 * MS)
     grid = talk.slave.start_ns
     talk.master = Session(master=True, manifest=MANIFEST, number=1000)
@@ -116,15 +108,11 @@ def test_a_master_that_comes_to_a_running_slave_takes_its_grid() -> None:
     assert talk.master.joined
     assert (talk.slave.number, talk.slave.start_ns, talk.slave.met) == (1000, grid, 2)
     assert talk.master.start_ns == (grid or 0) - talk.slave_ahead
-
-
-def test_a_slave_that_comes_to_a_running_master_is_told_a_tick_0_that_has_passed() -> None:
     talk = Talk().run(2000 * MS)
     grid = talk.master.start_ns
     talk.slave, talk.slave_ahead = Session(master=False, manifest=MANIFEST), 5 * 10**12  # on another machine
     talk.run(4000 * MS)
-    assert talk.slave.joined
-    assert not talk.master.joined
+    assert (talk.slave.joined, talk.master.joined) == (True, False)
     assert (talk.master.start_ns, talk.slave.start_ns) == (grid, (grid or 0) + talk.slave_ahead)
 
 
@@ -200,8 +188,7 @@ def test_a_rate_that_is_none_is_read_as_one_and_a_grid_of_a_clock_that_nobody_ha
     for text in ("--5", "x", "", "0x1", "²", "9" * 19, "-" * 19, "-" + "9" * 18, str(2**61 + 1)):
         master, replies = welcomed(**{TICK_0: text})
         assert master.joined is (text == "-" + "9" * 18), text
-        (start,) = [decode(data, 1) for data in replies]
-        assert isinstance(start, Packet), "what it sends can be read"
+        assert [packet_in(data).kind for data in replies], "what it sends can be read"
         assert master.joined or master.start_ns == 10 + LEAD_NS
 
 
@@ -235,13 +222,7 @@ def test_no_answer_is_longer_than_its_hello_and_a_manifest_too_long_for_one_is_r
     assert len(data[0]) <= MOST_CONTROL
     (answer,) = slave.receive(got, 2**62, len(data[0]))
     assert len(answer) <= len(data[0])
-
-
-def test_a_hello_as_short_as_it_can_be_is_answered_with_nothing_longer() -> None:
-    slave = Session(master=False, manifest=MANIFEST)
-    for manifest in (MANIFEST, {}, {"a": "b"}):
-        short = hello(1, manifest)
-        assert slave.receive(short, 0, len(encode(short))) == []
+    assert slave.receive(got, 2**62, len(encode(got))) == [], "nor to one as short as it can be"
 
 
 # A session that is over for one end
@@ -341,15 +322,6 @@ def test_ends_that_are_turned_one_after_the_other_meet_again_when_both_are(first
     assert talk.master.number == talk.slave.number
 
 
-@pytest.mark.parametrize("why", [Code.TURN, Code.CLUTCH])
-def test_an_order_to_the_slave_was_told_to_the_master_in_words_alone(why: Code) -> None:
-    talk = Talk().run(2000 * MS)
-    talk.slave.end(why)
-    while talk.master.ended is None:
-        talk.run(talk.now + 10 * MS)
-    assert talk.master.ended == (Cause.ORDERED, f"the session is over: {why.sentence}")
-
-
 def test_a_reason_is_known_by_its_code_and_by_its_sentence_where_an_older_end_sends_none() -> None:
     for code, sentence, cause in (
             (Code.CLUTCH, "words of another release", Cause.ORDERED), (Code.NONE, "the clutch is open", Cause.ORDERED),
@@ -367,13 +339,16 @@ def test_a_reason_is_known_by_its_code_and_by_its_sentence_where_an_older_end_se
 
 
 @pytest.mark.parametrize("holds", ["master", "slave"])
-def test_no_session_follows_while_either_end_may_not_renew_it(holds: str) -> None:
+def test_no_session_follows_while_either_end_may_not_renew_it_and_an_order_to_the_slave_is_told_to_the_master(
+    holds: str
+) -> None:
+    """It was told in words alone."""
     talk = Talk().run(2000 * MS)
     getattr(talk, holds).renews = False
-    for end in (talk.master, talk.slave):
-        end.end(Code.CLUTCH)
+    talk.slave.end(Code.CLUTCH)
     talk.run(9000 * MS)
     assert (talk.master.met, talk.slave.met) == (1, 1)
+    assert talk.master.ended == (Cause.ORDERED, f"the session is over: {Code.CLUTCH.sentence}")
     getattr(talk, holds).renews = True
     talk.run(11_000 * MS)
     assert (talk.master.met, talk.slave.met) == (2, 2)
@@ -398,7 +373,7 @@ def test_the_diagrams_of_the_readme_are_those_of_the_tables() -> None:
     assert diagrams() in text, "write what `python -m tests.teleop.protocol.diagrams` prints into the README"
 
 
-def test_every_state_of_a_table_can_be_reached_and_all_but_a_refusal_be_left() -> None:
+def test_every_state_of_a_table_can_be_reached_and_all_but_a_refusal_be_left_and_the_two_use_all_there_are() -> None:
     for table, first, is_master in ((MASTER, SessionState.ASKING, True), (SLAVE, SessionState.LISTENING, False)):
         named = {state for state, _ in table} | set(table.values())
         assert reached(table, first) == named
@@ -407,9 +382,6 @@ def test_every_state_of_a_table_can_be_reached_and_all_but_a_refusal_be_left() -
             assert SessionState.RUNNING in reached(table, state)
         assert not [event for state, event in table if state is SessionState.REFUSED]
         assert REPEATED[is_master].keys() <= named, "nothing is repeated in a state that the role does not have"
-
-
-def test_the_two_roles_use_every_state_and_every_event() -> None:
     both = {**MASTER, **SLAVE}
     assert {state for state, _ in both} | set(both.values()) == set(SessionState)
     assert {event for _, event in both} == set(SessionEvent)
@@ -436,8 +408,7 @@ def test_a_start_that_comes_while_the_master_still_asks_is_not_taken_for_the_ans
     for _ in range(ROUNDS):
         master.receive(Packet(Kind.WELCOME, 7, 0, 0, Echo(10, 0), MANIFEST), 10)
     assert master.state is SessionState.STARTING
-    (again,) = [decode(data, 1) for data in master.due(10 + AGAIN_NS)]
-    assert isinstance(again, Packet)
+    (again,) = map(packet_in, master.due(10 + AGAIN_NS))
     assert again.kind is Kind.START, "it is repeated until the slave answers"
 
 
