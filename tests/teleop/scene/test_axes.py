@@ -1,4 +1,4 @@
-"""Axes with units, names and parts of their own, and what a run leaves of them."""
+"""Axes with units, names and parts of their own, what a run leaves of them, and those of a rotation."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from channel import Delay
 from master import Grip, Sine
 from teleop import (
     TDPA,
-    Cap,
-    Device,
-    Encoder,
-    LowPass,
     MassDamper,
+    ModelMediated,
     PositionPosition,
-    Result,
+    Refused,
     Scene,
+    VirtualWall,
+    Wave,
+    around,
     each_axis,
     load_result,
     load_scene,
@@ -34,11 +34,13 @@ from teleop.export.stream import GrowingEnd
 from teleop.live.records.reader import FILE, read_header
 from teleop.live.records.record import RecordWriter
 from teleop.scene.axes import AxisLabels, labels_of
-from teleop.scene.scene import on_axis
+from teleop.scene.scene import on_axis, without_orientation
 from teleop.simulation.summary_shape import RUN
 from teleop.storage.strict_json import Misshapen
+from tests.fakes import Springs
 from tests.teleop.scene import unlike as own_file
 from tests.teleop.scene.unlike import GAINS, LAWS, MASSES, unlike
+from tests.teleop.stages.tumbling import tumbling
 
 SCENE = str(own_file.__file__)
 COUPLED = {"tdpa"}  # laws whose energy is one for all axes
@@ -59,36 +61,14 @@ class TestEachAxis:
             for name in ("x_m", "v_m", "f_m", "x_s", "v_s", "f_s", "f_env"):
                 assert np.array_equal(trace[name][:, i], alone[name]), name
 
-    def test_has_its_own_body_hand_cap_and_encoder(self) -> None:
-        base = run(unlike(), seed=3).trace
-        for name, value, changed in (
-                ("master", MassDamper(mass=0.15, damping=0.5), "x_m"), ("slave", MassDamper(mass=0.9), "x_s"),
-                ("law", PositionPosition(K=150.0, B=5.0), "f_m"), ("cap", Cap(f_max=0.05), "f_m"),
-                ("device_m", Device(encoder=Encoder(step=1e-3), velocity=LowPass(cutoff=30.0)), "q_m")):
-            scene = unlike()
-            parts = list(scene.per_axis(name))
-            parts[0] = value
-            trace = run(replace(scene, **{name: tuple(parts)}), seed=3).trace
-            assert not np.array_equal(trace[changed][:, 0], base[changed][:, 0]), name
-            assert np.array_equal(trace[changed][:, 1:], base[changed][:, 1:]), name
-        assert np.abs(base["f_m"][:, 0]).max() <= 5.0
-        assert np.array_equal(np.round(base["q_m"] / (1e-5, 2e-5, 4e-5)) * (1e-5, 2e-5, 4e-5), base["q_m"])
-
-    def test_that_nobody_holds_moves_freely_beside_others(self) -> None:
-        own = on_axis(unlike(), 1)
-        assert own.reference is None
-        still = run(replace(own, law=PositionPosition(K=200.0, B=5.0), cap=None, device_m=None), seed=3).trace
-        assert still["x_m"][0] == 0.02
-
-    def test_with_parts_that_are_alike_is_the_scene_of_one_part_for_all(self) -> None:
+    def test_with_parts_that_are_alike_is_the_scene_of_one_part_for_all_and_numbers_are_a_tuple_or_one(self) -> None:
         scene = load_scene("recorded_reach", law="pp", duration=1.0)
         apart = replace(scene, **{name: scene.per_axis(name) for name in ("law", "master", "slave", "hand", "cap")})
         one, other = run(scene, seed=1).trace, run(apart, seed=1).trace
         assert all(np.array_equal(one[name], other[name], equal_nan=True) for name in one)
-
-    def test_takes_numbers_of_a_part_as_a_tuple_or_as_one(self) -> None:
         assert each_axis(MassDamper, 3, mass=0.5) == MassDamper(mass=0.5)
         assert [each.mass for each in each_axis(MassDamper, 3, mass=MASSES)] == [*MASSES]
+        assert on_axis(unlike(), 1).reference is None, "nobody holds that one"
 
 
 def test_gains_of_a_law_are_typed_axis_by_axis_and_are_in_the_summary_of_a_run() -> None:
@@ -100,11 +80,13 @@ def test_gains_of_a_law_are_typed_axis_by_axis_and_are_in_the_summary_of_a_run()
     assert isinstance(law["B"], float)
 
 
-def test_as_many_as_sixteen_run() -> None:
+def test_as_many_as_sixteen_run_and_their_record_can_be_read(tmp_path: Path) -> None:
     scene = Scene(law=PositionPosition(K=200.0, B=5.0), axes=16, link=Delay(0.01), duration=0.05,
                   start_m=(0.01,) * 16, master=MassDamper(mass=0.1), slave=MassDamper(mass=0.5))
     assert run(scene).status == "ok"
     assert len(scene.axis_names) == 16 == len(set(scene.axis_names))
+    header = read_header(BytesIO(live_record(scene, tmp_path)))
+    assert (header["axes"], header["columns"].count("x_m")) == (16, 16)
 
 
 def test_a_law_is_told_of_by_the_axes_on_which_its_condition_breaks() -> None:
@@ -120,37 +102,31 @@ def test_a_law_is_told_of_by_the_axes_on_which_its_condition_breaks() -> None:
 
 
 NAMES, UNITS = ("shoulder", "elbow", "rail"), ("rad", "rad", "m")
-ABOUT = {"scene": "hard_wall", "knobs": {}, "seed": 0, "mode": "live", "command": []}
 
 
 @pytest.fixture(scope="module")
-def result() -> Result:
-    return run(unlike(duration=0.1))
-
-
-@pytest.fixture(scope="module")
-def folder(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     at = tmp_path_factory.mktemp("labels") / "run"
-    result.save(at)
+    run(unlike(duration=0.1)).save(at)
     return at
 
 
-def test_are_in_the_summary_and_come_back_with_the_run(folder: Path) -> None:
+def test_labels_are_in_the_summary_and_come_back_with_the_run_and_a_scene_without_leaves_the_files_as_they_were(
+    folder: Path
+) -> None:
     told = json.loads((folder / "summary.json").read_text())
     assert (told["axis_names"], told["axis_units"]) == ([*NAMES], [*UNITS])
     assert load_result(folder).labels == AxisLabels(NAMES, UNITS)
     for wrong in ({"axis_units": ["mm"]}, {"axis_names": "x"}, {"axis_names": ["a"] * 17}):
         with pytest.raises(Misshapen):
             RUN({**told, **wrong}, "summary.json")
-
-
-def test_a_scene_that_gives_none_leaves_the_files_as_they_were() -> None:
-    for scene in (load_scene("canonical", duration=0.01), load_scene("recorded_reach", duration=0.01)):
+    for name in ("canonical", "recorded_reach"):
+        scene = load_scene(name, duration=0.01)
         assert not {"axis_names", "axis_units"} & run(scene).summary().keys()
         assert labels_of(scene) == AxisLabels()
 
 
-def test_a_csv_has_them_in_its_columns_and_units(folder: Path) -> None:
+def test_a_csv_has_them_in_its_columns_and_units_and_mcap_a_field_for_each(folder: Path) -> None:
     parts = read_parts(folder, trust=False)
     rows, about = BytesIO(), BytesIO()
     write_csv(rows, parts)
@@ -158,15 +134,11 @@ def test_a_csv_has_them_in_its_columns_and_units(folder: Path) -> None:
     head = rows.getvalue().split(b"\n")[0].decode().split(",")
     columns = {one["name"]: one for one in json.loads(about.getvalue())["tableSchema"]["columns"]}
     assert [*columns] == head
-    units = {name: columns[name]["schema:unitText"] for name in
-             ("x_m_elbow", "v_s_elbow", "f_m_elbow", "x_m_rail", "v_s_rail", "f_m_rail", "t")}
-    assert [*units.values()] == ["rad", "rad/s", "N m", "m", "m/s", "N", "s"]
+    units = [columns[name]["schema:unitText"] for name in
+             ("x_m_elbow", "v_s_elbow", "f_m_elbow", "x_m_rail", "v_s_rail", "f_m_rail", "t")]
+    assert units == ["rad", "rad/s", "N m", "m", "m/s", "N", "s"]
     assert columns["x_m_elbow"]["dc:description"].endswith(", along elbow")
-
-
-def test_mcap_has_a_field_for_each_with_its_unit(folder: Path) -> None:
-    fields = [one for one in all_fields(read_parts(folder, trust=False)) if one.name in ("f_m", "g_m")]
-    own = schema_of("master", "", fields)["properties"]
+    own = schema_of("master", "", [one for one in all_fields(parts) if one.name in ("f_m", "g_m")])["properties"]
     assert [*own["f_m"]["properties"]] == [*NAMES]
     assert [text["description"].partition("hand ")[2][:5] for text in own["f_m"]["properties"].values()] == [
         "(N m)", "(N m)", "(N); "]
@@ -174,33 +146,56 @@ def test_mcap_has_a_field_for_each_with_its_unit(folder: Path) -> None:
 
 
 def live_record(scene: Scene, at: Path) -> bytes:
-    writer = RecordWriter(scene, "m", at, ABOUT)
+    writer = RecordWriter(scene, "m", at, {"scene": "hard_wall", "knobs": {}, "seed": 0, "mode": "live", "command": []})
     writer.begin("bodies")
-    width = sum(len(part) for part in [json.loads((at / FILE).read_bytes().partition(b"\n")[0])["columns"]]) - 3
+    width = len(json.loads((at / FILE).read_bytes().partition(b"\n")[0])["columns"]) - 3
     writer.add(0, 0, 0, (0.5,) * width)
     writer.close()
     return (at / FILE).read_bytes()
 
 
-def test_a_live_record_has_them_in_its_header_and_its_stream(tmp_path: Path) -> None:
-    header = read_header(BytesIO(live_record(unlike(), tmp_path)))
-    assert (header["axis_names"], header["axis_units"]) == ([*NAMES], [*UNITS])
-    end = GrowingEnd(tmp_path, 0)
-    end.take(1)
-    assert next(one for one in end.fields if one.name == "x_m").flat == ("x_m_shoulder", "x_m_elbow", "x_m_rail")
-    end.close()
+def test_a_live_record_has_them_in_its_header_and_its_stream_and_one_without_those_of_its_number_of_axes(
+    tmp_path: Path
+) -> None:
+    """As one from before there were names."""
+    for folder, scene, names in (("named", unlike(), NAMES), ("old", replace(unlike(), names=(), units=()), "xyz")):
+        (at := tmp_path / folder).mkdir()
+        record = live_record(scene, at)
+        if folder == "named":
+            header = read_header(BytesIO(record))
+            assert (header["axis_names"], header["axis_units"]) == ([*NAMES], [*UNITS])
+        assert (b"axis_names" in record) == (folder == "named")
+        end = GrowingEnd(at, 0)
+        end.take(1)
+        assert next(one for one in end.fields if one.name == "x_m").flat == tuple(f"x_m_{name}" for name in names)
+        end.close()
 
 
-def test_a_record_from_before_there_were_names_has_those_of_its_number_of_axes(tmp_path: Path) -> None:
-    assert b"axis_names" not in live_record(replace(unlike(), names=(), units=()), tmp_path)
-    end = GrowingEnd(tmp_path, 0)
-    end.take(1)
-    assert next(one for one in end.fields if one.name == "x_m").flat == ("x_m_x", "x_m_y", "x_m_z")
-    end.close()
+# Rotations: which axes, which laws, and what has to be alike on them
 
 
-def test_a_record_of_sixteen_axes_can_be_read(tmp_path: Path) -> None:
-    many = replace(load_scene("recorded_reach"), axes=16, environment=None, hand=None, duration=0.1)
-    header = read_header(BytesIO(live_record(many, tmp_path)))
-    assert header["axes"] == 16
-    assert header["columns"].count("x_m") == 16
+LIGHT, HEAVY = MassDamper(mass=0.001, damping=0.005), MassDamper(mass=0.002, damping=0.005)
+
+
+def test_what_cannot_turn_is_refused_in_one_sentence() -> None:
+    tumbling()  # scenes of the same classes have passed before
+    for parts, sentence in (
+            ({"law": ModelMediated()},
+             "law model_mediated does not run on the axes of a rotation: its model is a spring"),
+            ({"law": around("virtual_coupling", Wave())}, "its tool has a place on each axis by itself"),
+            ({"law": Springs()}, "declares none of its messages or its state as one, as x: kind.Position does"),
+            ({"law": (PositionPosition(), PositionPosition(), PositionPosition(K=1.0))}, "has one law for all three"),
+            ({"slave": (LIGHT, HEAVY, LIGHT)}, "the slave of one differs; give the three the same slave"),
+            ({"slave": None, "link": None, "law": VirtualWall(K=1.0)}, "a scene without a slave has no rotations")):
+        with pytest.raises(Refused, match=sentence):
+            tumbling(**parts)
+
+
+def test_axes_of_a_rotation_are_in_rad_and_each_is_analysed_by_itself_and_a_deadband_keeps_positions() -> None:
+    scene = tumbling(axes=4, rotations=(1,), hand=None)
+    assert scene.axis_units == ("m", "rad", "rad", "rad")
+    assert on_axis(scene, 2).rotations == ()
+    assert on_axis(scene, 2).axis_units == ("rad",)
+    law = around("deadband(0.1)", PositionPosition())
+    assert without_orientation(law) == ""
+    assert tumbling(law=law).rotations == (0,)

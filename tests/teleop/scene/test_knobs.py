@@ -98,7 +98,7 @@ def declaring(*, k: Annotated[float, Knob("N/m", "stiffness", low=0.0, high=1e3)
 class TestDeclared:
     """Unit, meaning and bounds stand in the annotation."""
 
-    def test_what_is_out_of_bounds_is_refused_with_unit_and_cure(self) -> None:
+    def test_what_is_out_of_bounds_is_refused_with_unit_and_cure_and_what_is_within_is_read(self) -> None:
         given: tuple[tuple[str, object, str], ...] = (
             ("k", "-1", "k must be at least 0 N/m, not -1; write for example k=0"),
             ("k", "2e3", "k must be at most 1000 N/m, not 2000; write for example k=1000"),
@@ -111,19 +111,15 @@ class TestDeclared:
             with pytest.raises(Refused) as refused:
                 settle("s", declaring, {name: value})
             assert str(refused.value) == sentence
-
-    def test_what_is_within_is_read_as_without(self) -> None:
-        given = {"k": "1e3", "at": "0,-1", "age": "none", "steps": "2", "shape": "cube"}
-        assert settle("s", declaring, given)[0] == {
+        within = {"k": "1e3", "at": "0,-1", "age": "none", "steps": "2", "shape": "cube"}
+        assert settle("s", declaring, within)[0] == {
             "k": 1e3, "at": (0.0, -1.0), "age": None, "steps": 2, "shape": "cube"}
 
-    def test_a_type_may_declare_for_all_that_have_it(self) -> None:
+    def test_a_type_may_declare_for_all_that_have_it_and_every_number_of_a_built_in_scene_has_a_meaning(self) -> None:
         def scene(*, dt: knob.Tick = 1e-3, age: knob.MessageAge = None) -> None: ...
 
         found = {name: (each.kind, each.knob.unit) for name, each in knobs_of(scene).items()}
         assert found == {"dt": (float, "s"), "age": (float | None, "s")}
-
-    def test_every_number_of_a_built_in_scene_declares_its_meaning(self) -> None:
         plain = {"law", "playout", "velocity"}  # known by their types
         missing = [(name, key) for name in built_in_scenes() for key, found in knobs_of(scene_function(name)).items()
                    if key not in plain and not found.knob.meaning]
@@ -207,6 +203,7 @@ class TestLaws:
         assert load_scene("canonical", **{"law.b": "4", "law": "wave"}).law == Wave(b=4.0, K=base.K, B=base.B)
 
     def test_of_the_scene_lost_its_gains_where_it_was_named(self) -> None:
+        """Also with stages, and for each axis."""
         own = Wave(b=20.0, K=1000.0, B=20.0)
         for knobs, law in (
                 ({"law": "wave"}, own), ({"law": "wave", "law.b": "3"}, Wave(b=3.0, K=1000.0, B=20.0)),
@@ -215,11 +212,8 @@ class TestLaws:
                 ({"law": "deadband(0.1) | wave"}, around("deadband(0.1)", own)),
                 ({"law": "deadband(0.1) | wave()"}, around("deadband(0.1)", Wave()))):
             assert settle("hard_wall", scene_function("hard_wall"), knobs)[0]["law"] == law, knobs
-
-    def test_of_the_scene_with_stages_or_for_each_axis_lost_their_numbers_where_they_were_named(self) -> None:
-        own = around("deadband(0.3)", Wave(b=20.0))
-        assert read_law("deadband | wave", own) is own
-        assert read_law("deadband(0.1) | wave", own) == around("deadband(0.1)", Wave(b=20.0))
-        assert read_law("wave", own) == Wave(b=20.0)
-        each = (Wave(b=20.0), Wave(b=10.0))
-        assert read_law("wave", each) == each
+        staged, each = around("deadband(0.3)", Wave(b=20.0)), (Wave(b=20.0), Wave(b=10.0))
+        for text, law, read_as in (
+                ("deadband | wave", staged, staged), ("wave", staged, Wave(b=20.0)), ("wave", each, each),
+                ("deadband(0.1) | wave", staged, around("deadband(0.1)", Wave(b=20.0)))):
+            assert read_law(text, law) == read_as

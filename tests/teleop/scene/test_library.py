@@ -14,10 +14,11 @@ from typing import Any
 import pytest
 
 import teleop.scene.library
-from teleop import Refused, load_scene
+from teleop import Integral, Refused, load_scene
 from teleop.__main__ import main
 from teleop.scene.knobs import knobs_of
 from teleop.scene.library import ROOT, beside, built_in_scenes, import_bundled, known_scenes, scene_function
+from teleop.scene.loading import asks_for_trust, check_installed, live_knobs, stored_scene
 
 
 class TestBuiltIn:
@@ -41,14 +42,11 @@ class TestBuiltIn:
 
 
 class TestAtAPath:
-    def test_a_users_own_scene_is_loaded_with_its_knobs(self, tmp_path: Path) -> None:
-        source = (ROOT / "scenarios" / "canonical.py").read_text()
-        (tmp_path / "my own.py").write_text(source)
+    def test_a_users_own_scene_is_loaded_with_its_knobs_and_a_file_that_is_none_is_refused(
+            self, tmp_path: Path) -> None:
+        (tmp_path / "my own.py").write_text((ROOT / "scenarios" / "canonical.py").read_text())
         scene = load_scene(str(tmp_path / "my own.py"), delay=0.2)
-        assert scene.name == "my own"
-        assert scene.knobs["delay"] == 0.2
-
-    def test_a_file_that_is_none_is_refused(self, tmp_path: Path) -> None:
+        assert (scene.name, scene.knobs["delay"]) == ("my own", 0.2)
         for text, words in (("import nonsense_of_mine", "nonsense_of_mine"), ("scene = 3", "no function called"),
                             ("1 / 0", "ZeroDivision")):
             (tmp_path / "mine.py").write_text(text)
@@ -70,17 +68,16 @@ class TestOfPlugIns:
 
 
 class TestTheHouse:
-    def test_is_found_beside_teleop(self) -> None:
-        assert Path(import_bundled("channel.delay").__file__).is_relative_to(ROOT)
 
-    def test_is_not_taken_from_elsewhere(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_is_found_beside_teleop_and_not_taken_from_elsewhere(
+            self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        assert Path(import_bundled("channel.delay").__file__).is_relative_to(ROOT)
         stranger = types.ModuleType("slave")
         stranger.__file__ = str(tmp_path / "slave.py")
         monkeypatch.setitem(sys.modules, "slave", stranger)
-        with pytest.raises(Refused, match=r"'slave' was taken from .*slave.py"):
-            import_bundled("slave.wall")
-        with pytest.raises(Refused, match="was taken from"):
-            scene_function("canonical")
+        for take in (lambda: import_bundled("slave.wall"), lambda: scene_function("canonical")):
+            with pytest.raises(Refused, match=r"'slave' was taken from .*slave.py"):
+                take()
 
 
 class TestBesideAScenesFile:
@@ -124,14 +121,12 @@ class TestBesideAScenesFile:
         (tmp_path / "mine.py").write_text("import colorsys\ndef scene(*, k: float = colorsys.ONE_THIRD): ...\n")
         assert knobs_of(scene_function(str(tmp_path / "mine.py")))["k"].default == 1.0 / 3.0
 
-    def test_of_two_scenes_each_has_its_own(self, tmp_path: Path) -> None:
+    def test_of_two_scenes_each_has_its_own_and_none_is_given_the_other_ones_module(self, tmp_path: Path) -> None:
         for k, folder in enumerate(("a", "b"), start=1):
             (tmp_path / folder).mkdir()
             (tmp_path / folder / "other.py").write_text("")  # in a's folder too, where nobody asks for it
             path = self.written(tmp_path / folder, float(k), module="other" if folder == "b" else "one")
             assert knobs_of(scene_function(path))["k"][:2] == (float, float(k))
-
-    def test_of_two_scenes_none_is_given_the_other_ones_module(self, tmp_path: Path) -> None:
         scene_function(self.written(tmp_path / "a", 1.0))
         with pytest.raises(Refused, match=r"b/mine\.py imports law_mine, and .*a/law_mine\.py has been imported"):
             scene_function(self.written(tmp_path / "b", 2.0))
@@ -151,3 +146,40 @@ class TestBesideAScenesFile:
         (tmp_path / "mine.py").write_text(text.replace("Wave(b=20.0, K=1000.0, B=20.0)", "Direct()"))
         assert main(["run", str(tmp_path / "mine.py"), "--set", "duration=0.1", "--out", str(tmp_path / "out")]) == 0
         assert json.loads((tmp_path / "out" / "summary.json").read_text())["parameters"]["law"]["name"] == "Direct"
+
+
+# Scenes as they are loaded: beside the clock, and from a stored folder, whose files are opened for who trusts it
+
+
+def test_what_runs_by_the_clock_plays_waves_by_their_integral_with_a_link_or_without() -> None:
+    """Over `--link none`, which is a real network live, each packet that was lost took its wave with it."""
+    assert live_knobs("hard_wall", {}) == {"playout": "integral"}
+    assert live_knobs("hard_wall", {"link": "none"}) == {"link": "none", "playout": "integral"}
+    assert live_knobs("local", {}) == {"playout": "integral"}
+    assert load_scene("local", playout="integral").played_as == Integral()
+    assert live_knobs("hard_wall", {"law": "direct"}) == {"law": "direct"}
+    assert live_knobs("hard_wall", {"playout": "zero"}) == {"playout": "zero"}
+    assert live_knobs("jittery_wan", {}) == {}, "it names its own"
+
+
+def test_every_built_in_scene_is_made_again_from_its_name() -> None:
+    for name in built_in_scenes():
+        check_installed(name)
+        if name != "lte":  # which has no scene without its recordings
+            scene = stored_scene(name, {"duration": "0.5"}, trust=False)
+            assert scene.ticks == round(0.5 / scene.dt), name
+            assert not asks_for_trust(name, {"duration": "0.5"}), name
+    assert not asks_for_trust("canonical", {"link": "delay(0.05) | bernoulli(0.1)"})
+
+
+def test_whoever_recorded_with_a_file_is_told_that_report_asks_for_trust(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, knobs in (
+            ("mine.py", {}), ("folder/mine.py", {}), ("lte", {"up": "a", "down": "b"}),
+            ("recorded_reach", {"motion": "my.csv"}), ("canonical", {"link": "ping_log('log')"}),
+            ("canonical", {"link": 'delay(0.1) ; mahimahi("trace")'}), ("hard_wall", {"law": "law_mine.py"}),
+            ("hard_wall", {"law": "law_mine.py:PositionPosition"}), ("hard_wall", {"law": "/somewhere/else.py"})):
+        assert asks_for_trust(name, knobs), (name, knobs)
+        with pytest.raises(Refused, match="--trust"):
+            stored_scene(name, knobs, trust=False)

@@ -101,11 +101,6 @@ class TestOnTheCommandLine:
         assert load_scene("soft_tissue", law="law.py", **{"law.cutoff": 2.0}).law.cutoff == 2.0
         assert load_scene("virtual_wall", law="spring.py", **{"law.K": "3"}).law.K == 3.0
 
-    def test_goes_wherever_a_law_goes(self, typed: Typed) -> None:
-        for words in (["stability", "soft_tissue"], ["show", "tick", "soft_tissue"],
-                      ["sweep", "soft_tissue", "--grid", "delay=0,1", "--engine", "plain"]):
-            assert typed(*words, "--set", "law=law_mine.py", *SHORT).code == 0, words
-
     def test_an_edit_within_the_same_second_and_of_the_same_length_is_seen(self, written: Path) -> None:
         """Python's own loader took the compiled code of the first content for the second."""
         gains = []
@@ -163,23 +158,18 @@ class TestInASweep:
         assert len(names) == 2
 
 
-class TestOfAnotherEnd:
-    def test_the_same_file_elsewhere_goes_together_and_another_content_does_not(self, written: Path) -> None:
-        def told(folder: str, text: str) -> dict[str, str]:
-            (written / folder).mkdir()
-            (written / folder / "law_mine.py").write_text(text)
-            return manifest_of(load_scene("hard_wall", law=f"{folder}/law_mine.py"))
+def test_the_same_file_elsewhere_goes_together_with_it_and_another_content_does_not(written: Path) -> None:
+    """Two different laws called `wave` went together: their sources were taken for those of the release."""
+    def told(folder: str, text: str) -> dict[str, str]:
+        (written / folder).mkdir()
+        (written / folder / "law_mine.py").write_text(text)
+        return manifest_of(load_scene("hard_wall", law=f"{folder}/law_mine.py"))
 
-        one = told("one", MINE)
-        assert manifest_difference(one, told("copy", MINE)) is None
-        edited = manifest_difference(one, told("edited", MINE.replace("+ self.B", "- self.B")))
-        assert edited is not None
-        assert edited.startswith("law source is law_mine.py (")
-
-    def test_a_class_called_as_a_law_of_the_package_is_compared_by_its_source_all_the_same(self, written: Path) -> None:
-        """Two different laws called `wave` went together: their sources were taken for those of the release."""
-        (written / "one.py").write_text(MINE.replace("PositionPosition", "wave"))
-        assert manifest_of(load_scene("hard_wall", law="one.py"))["law source"].startswith("one.py (")
+    one = told("one", MINE)
+    assert manifest_difference(one, told("copy", MINE)) is None
+    edited = manifest_difference(one, told("edited", MINE.replace("+ self.B", "- self.B")))
+    assert str(edited).startswith("law source is law_mine.py (")
+    assert told("wave", MINE.replace("PositionPosition", "wave"))["law source"].startswith("law_mine.py (")
 
 
 def test_of_a_stored_folder_is_run_with_trust_and_a_sweep_is_shown_without_it(typed: Typed, written: Path) -> None:
