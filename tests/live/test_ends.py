@@ -1,9 +1,8 @@
-"""`python -m slave`, `python -m channel` and `python -m master`, started by hand."""
+"""`python -m slave`, `python -m channel` and `python -m master`, started by hand; and floods of foreign datagrams."""
 
 from __future__ import annotations
 
 import json
-import os
 import resource
 import signal
 import socket
@@ -25,10 +24,8 @@ from teleop.live.records.end_result import WAYS
 from teleop.live.records.merge import merge, scene_of
 from teleop.live.records.reader import FILE, read_noted, read_record
 from teleop.live.records.record import EVERY
-from teleop.scene.library import ROOT
-from tests.live.conftest import summary
-from tests.live.killing import free_port
-from tests.waiting import PATIENCE, until
+from tests.live.conftest import pair_of_keys, share_received, summary
+from tests.waiting import until
 
 pytestmark = pytest.mark.live
 Start = Callable[..., Any]
@@ -179,47 +176,6 @@ def test_whoever_waits_is_told_what_may_be_wrong_while_it_waits(command: Start) 
             assert has in hint
 
 
-@pytest.mark.parametrize("closed", [
-    {"slave": "1 2", "master": "1 2"}, pytest.param({"slave": "1", "master": "2"}, marks=pytest.mark.full)], ids=str)
-def test_an_end_whose_streams_are_closed_runs_to_its_end(closed: dict[str, str], tmp_path: Path) -> None:
-    """As under a service manager. What cannot be said ended the run, at both ends."""
-    at = f"127.0.0.1:{free_port()}"
-    code = "import os, sys; [os.close(int(n)) for n in sys.argv[1].split()]; os.execv(sys.executable, sys.argv[2:])"
-    both = []
-    for name, words in (("slave", ["--listen", at]), ("master", ["--peer", at, "--json", "--wait", f"{PATIENCE}"])):
-        own = [sys.executable, "-m", name, *SCENE, "--out", name, *words]
-        both.append(subprocess.Popen([sys.executable, "-c", code, closed[name], *own], cwd=tmp_path,
-                                     env={**os.environ, "PYTHONPATH": str(ROOT)}))
-    assert [one.wait(PATIENCE) for one in both] == [0, 0]
-    assert [summary(tmp_path / name)["status"] for name in closed] == ["ok", "ok"]
-
-
-# Stopping
-
-
-@pytest.mark.parametrize(("who", "number"), [
-    ("slave", signal.SIGINT), pytest.param("master", signal.SIGTERM, marks=pytest.mark.full)])
-def test_a_signal_stops_both_ends_and_both_keep_what_they_have(
-    who: str, number: signal.Signals, command: Start, tmp_path: Path
-) -> None:
-    slave, master = slave_and_master(command, *LONG)
-    first, other = (slave, master) if who == "slave" else (master, slave)
-    first.event("live")
-    first.event("live")
-    first.signal(number)
-    first.signal(number)  # an impatient finger
-    assert first.end()[0] == other.end()[0] == 0
-    name, its = (who, "master" if who == "slave" else "slave")
-    left = {end: summary(tmp_path / "runs" / f"hard_wall-{end}-1") for end in ("master", "slave")}
-    assert left[name]["status"] == left[its]["status"] == "stopped"
-    assert left[name]["sentence"].endswith(f"it was asked to stop ({number.name})")
-    assert "the other end left: stopped at t = " in left[its]["sentence"]
-    for end in left:
-        header, record, _ = read_record(tmp_path / "runs" / f"hard_wall-{end}-1")
-        assert len(record.ticks) == left[end]["ticks"] > 0
-        assert header["end"] == end[0]
-
-
 def test_a_slave_that_is_stopped_while_it_waits_leaves_nothing(command: Start, tmp_path: Path) -> None:
     slave = command("slave", *SCENE, *ANY, "--json")
     slave.port()
@@ -313,3 +269,41 @@ def test_a_channel_of_another_scene_says_so(command: Start) -> None:
     assert code == 0
     assert "another scene than this channel: " in err
     assert "dt is" in err
+
+
+FLOOD = """
+import socket, time
+out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+words = [b"", b"GET / HTTP/1.1", b"BT\\x01\\x00" + bytes(96), bytes(1200)]
+port, seconds = map(float, input().split())  # it is up before the run is
+sent, end = 0, time.monotonic() + seconds
+while time.monotonic() < end:
+    for word in words * 8:
+        out.sendto(word, ("127.0.0.1", int(port)))
+    sent += 32
+print(sent)
+"""
+
+
+@pytest.mark.parametrize("sealed", [
+    False, pytest.param(True, marks=pytest.mark.full)], ids=["in the open", "sealed"])
+def test_a_flood_from_a_wrong_address_costs_no_good_packet(
+    sealed: bool, command: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Tens of thousands a second. Datagrams of other senders are dropped by the system once the two have met."""
+    scene = ["hard_wall", "--set", "duration=1.5", "--set", "link=none"]
+    keys = pair_of_keys(tmp_path) if sealed else {"master": [], "slave": []}
+    flood = subprocess.Popen([sys.executable, "-c", FLOOD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    slave = command("slave", *scene, *keys["slave"], "--listen", "127.0.0.1:0", "--json",
+                    "--out", str(tmp_path / "s"))
+    port = slave.port()
+    master = command("master", *scene, *keys["master"], "--peer", f"127.0.0.1:{port}", "--json",
+                     "--out", str(tmp_path / "m"))
+    slave.event("live")
+    thrown = int(flood.communicate(f"{port} 0.8\n")[0])
+    assert master.end()[0] == slave.end()[0] == 0
+    told = summary(tmp_path / "s")
+    assert told["status"] == "ok"
+    assert thrown > 1000, "of tens of thousands on a machine that has nothing else to do"
+    assert share_received(tmp_path / "m", tmp_path / "s") > 0.95
+    assert sum(told["packets"]["fwd"]["rejected"].values()) < 0.01 * thrown

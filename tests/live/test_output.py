@@ -23,7 +23,7 @@ from teleop.protocol.manifest import manifest_of
 from teleop.protocol.packet import Kind, Packet, encode
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
-from tests.live.conftest import Command, summary
+from tests.live.conftest import OWN, Command, summary
 from tests.live.killing import free_port
 from tests.waiting import PATIENCE
 
@@ -211,10 +211,10 @@ def hello(number: int, **knobs: Any) -> bytes:
     return encode(Packet(Kind.HELLO, number, 0, 0, None, manifest), 2000)
 
 
-def asked(sock: socket.socket, port: int, data: bytes, patience: float = PATIENCE) -> bytes:
+def asked(sock: socket.socket, port: int, data: bytes) -> bytes:
     """Send until there is an answer; the answer."""
     sock.settimeout(0.1)
-    until = time.monotonic() + patience
+    until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
         sock.sendto(data, ("127.0.0.1", port))
         with suppress(TimeoutError, ConnectionRefusedError):
@@ -259,7 +259,7 @@ def test_an_unknown_hosts_datagram_neither_ends_nor_hangs_a_slave_whose_output_n
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
         assert asked(sock, port, hello(7))
-        until = time.monotonic() + 3.5
+        until = time.monotonic() + 2.6
         while time.monotonic() < until:
             sock.sendto(b"no packet of ours", ("127.0.0.1", port))
             time.sleep(0.05)
@@ -268,19 +268,29 @@ def test_an_unknown_hosts_datagram_neither_ends_nor_hangs_a_slave_whose_output_n
     assert ends(one) == 130
 
 
-@pytest.mark.parametrize("unread", ["gone", pytest.param("full", marks=pytest.mark.full)], indirect=True)
-def test_two_ends_whose_output_nothing_reads_run_to_their_end(
-    start: Callable[..., subprocess.Popen[str]], tmp_path: Path
+CLOSES = "import os, sys; [os.close(int(n)) for n in sys.argv[1].split()]; os.execv(sys.executable, sys.argv[2:])"
+
+
+@pytest.mark.parametrize(("at_slave", "at_master"), [("1 2", "gone"), *[
+    pytest.param(*each, marks=pytest.mark.full) for each in (("gone", "1 2"), ("full", "full"), ("1", "2"))]])
+def test_two_ends_whose_output_nothing_reads_or_whose_streams_are_closed_run_to_their_end(
+    at_slave: str, at_master: str, tmp_path: Path
 ) -> None:
-    """Their live lines, their tables and their summaries go nowhere; the run and its record are whole."""
-    port, scene = free_port(), ["hard_wall", "--set", "duration=0.7", "--link", "none"]
-    both = [start("slave", *scene, "--listen", f"127.0.0.1:{port}", "--out", "s", "--json"),
-            start("master", *scene, "--peer", f"127.0.0.1:{port}", "--out", "m", "--wait", f"{PATIENCE}")]
+    """As under a service manager. What cannot be said ended the run, at both ends; the run and its record are whole."""
+    port, scene, both = free_port(), ["hard_wall", "--set", "duration=0.7", "--link", "none"], []
+    for name, how, words in (("slave", at_slave, ["--listen", f"127.0.0.1:{port}", "--json"]),
+                             ("master", at_master, ["--peer", f"127.0.0.1:{port}", "--wait", f"{PATIENCE}"])):
+        closes, out = ([], Unread(how)) if how in ("gone", "full") else (["-c", CLOSES, how, sys.executable], None)
+        stream = None if out is None else out.writing
+        both.append(subprocess.Popen([sys.executable, *closes, "-m", name, *scene, *words, "--out", name], cwd=tmp_path,
+                                     env=OWN, stdout=stream, stderr=stream))
+        if out is not None and how == "gone":
+            out.close()
     assert [one.wait(PATIENCE) for one in both] == [0, 0]
-    for folder in ("s", "m"):
-        told = summary(tmp_path / folder)
+    for name in ("slave", "master"):
+        told = summary(tmp_path / name)
         assert told["status"] == "ok"
-        assert told["ticks"] + told[{"s": "slave", "m": "master"}[folder]]["skipped"] == 700
+        assert told["ticks"] + told[name]["skipped"] == 700
 
 
 @pytest.mark.parametrize(("unread", "form"), [

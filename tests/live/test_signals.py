@@ -161,16 +161,19 @@ def test_what_is_ignored_stays_so_as_under_nohup() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-@pytest.mark.parametrize(("e", "name"), [
-    ("m", "SIGTSTP"), *[pytest.param(e, name, marks=FULL) for e, name in (
+@pytest.mark.parametrize(("e", "name", "impatient"), [
+    ("m", "SIGTSTP", 1), ("s", "SIGINT", 2), *[pytest.param(e, name, 1, marks=FULL) for e, name in (
         ("m", "SIGHUP"), ("s", "SIGTSTP"), ("s", "SIGHUP"), ("m", "SIGQUIT"), ("s", "SIGABRT"))],
 ])
-def test_a_terminal_that_drops_leaves_no_force(e: str, name: str, command: Make, tmp_path: Path) -> None:
+def test_a_terminal_that_drops_and_an_impatient_finger_leave_no_force(
+    e: str, name: str, impatient: int, command: Make, tmp_path: Path
+) -> None:
     """SIGHUP, SIGQUIT and SIGUSR killed an end with 4.26 N held; Ctrl-Z stopped it so."""
     force = robot(tmp_path, e)
     own, other = pair(command, e)
     force.until(lambda f: abs(f) > 0.1)
-    own.signal(getattr(signal, name))
+    for _ in range(impatient):
+        own.signal(getattr(signal, name))
     code, _, err = own.end()
     assert (code, err) == (0, "")
     assert other.end()[0] == 0
