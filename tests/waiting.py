@@ -1,7 +1,8 @@
-"""Waits for conditions instead of times, so that a busy machine may take as long as it needs."""
+"""Waits for conditions instead of times, so that a busy machine may take as long as it needs; and a free port."""
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -27,3 +28,10 @@ def answered(make: Callable[[], Any], attempts: int = 10) -> Any:
             return make()
         time.sleep(0.1)
     return make()
+
+
+def free_port() -> int:
+    """Return a UDP port of this machine that nothing is bound to."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])

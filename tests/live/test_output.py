@@ -24,8 +24,7 @@ from teleop.protocol.packet import Kind, Packet, encode
 from teleop.scene.library import ROOT
 from teleop.scene.loading import load_scene
 from tests.live.conftest import OWN, Command, summary
-from tests.live.killing import free_port
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, free_port
 
 pytestmark = pytest.mark.live
 LINE = b"%05d " + b"x" * 90 + b"\n"

@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from teleop.__main__ import main
-from tests.live.killing import free_port
-from tests.waiting import until
+from tests.waiting import free_port, until
 
 WALL = ["advise", "--link", "delay(0.03) | bernoulli(0.03)", "--wall", "2000"]
 LOG = "".join(f"[170000000{i // 10}.{i % 10}00000] 64 bytes from 192.0.2.1: icmp_seq={i} ttl=57 "
