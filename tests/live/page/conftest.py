@@ -68,6 +68,7 @@ class Served:
     @asynccontextmanager
     async def open(self, **other: Any) -> AsyncIterator[Browser]:
         """A page in a browser."""
+        other = {"max_queue": None, **other}  # one that is behind is not closed before ten seconds have passed
         async with connect(f"ws://{self.host}/ws?token={TOKEN}", origin=Origin(f"http://{self.host}"),
                            proxy=None, open_timeout=PATIENCE, ping_interval=None, **other) as socket:
             yield Browser(socket)

@@ -17,6 +17,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from teleop.__main__ import main
+from teleop.live.page import server
 from teleop.live.page.server import STRANGERS, Requests
 from tests.live.page.conftest import HTML, TOKEN, Browser, Served
 from tests.waiting import PATIENCE
@@ -134,8 +135,13 @@ def test_over_a_socket_too_strangers_get_a_sentence_and_the_page_goes_on(served:
     served(scenario)
 
 
-def test_320_connections_without_a_token_took_all_files_of_the_page(served: Serve) -> None:
+def test_320_connections_without_a_token_took_all_files_of_the_page(
+    served: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of those that have shown none 32 are kept, for 5 s; who has the token comes in beside them."""
+    assert (STRANGERS, server.STRANGE) == (32, 5.0)
+    monkeypatch.setattr(server, "STRANGE", 2.0)
+
     async def scenario(page: Served) -> None:
         assert page.page.clients is not None
         async with page.open() as browser:
