@@ -36,7 +36,6 @@ def read(file: BytesIO) -> tuple[dict[str, list[Message]], dict[str, dict[str, A
     messages: dict[str, list[Message]] = {}
     schemas = {}
     for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-        assert schema is not None
         assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
         assert message.publish_time == message.log_time
         messages.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))

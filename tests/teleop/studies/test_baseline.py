@@ -12,7 +12,6 @@ from teleop.studies.baseline import baseline_contact, contact_force, rigid_basel
 
 def test_pressed_to_rest_it_is_hand_and_wall_in_series() -> None:
     contact = baseline_contact(load_scene("hard_wall", duration=6.0))
-    assert contact is not None
     assert contact.late == pytest.approx(200.0 * 2e4 / (200.0 + 2e4) * (0.06 - 0.03), rel=1e-6)  # k_h, k_e, to - wall
 
 
@@ -29,7 +28,6 @@ def test_a_swing_against_tissue_is_that_of_one_body_of_all_masses() -> None:
     exact = solve_ivp(slope, (0.0, 2.0), [0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-12).y
     expected = contact_force(200.0 * exact[0] + 2.0 * exact[1])
     contact = baseline_contact(scene)
-    assert contact is not None
     assert contact.late == pytest.approx(expected.late, rel=2e-3)  # the hold of one tick
     assert contact.peak == pytest.approx(expected.peak, rel=2e-3)
 

@@ -1,4 +1,4 @@
-"""The stable region: published and computed stiffnesses, runs in virtual time just inside and outside, scaling."""
+"""The stable region, and what comes to rest in virtual time: published numbers, eigenvalues, runs beside the edge."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+import teleop.analysis.zwidth.assess
 import teleop.analysis.zwidth.plane
 from master.hand import Grip, Rest
-from teleop import BackwardDifference, Device, ElectricalDamping, MassDamper, Scene, VirtualWall, run
+from teleop import BackwardDifference, Device, ElectricalDamping, MassDamper, Scene, VirtualWall, load_scene, run
 from teleop.analysis.models.law_parts import with_gains
+from teleop.analysis.models.rest import FreeMotion, settled
 from teleop.analysis.stability.assess import critical
+from teleop.analysis.zwidth.assess import let_go, stiffest_at_rest
 from teleop.analysis.zwidth.passive import passive_region
 from teleop.analysis.zwidth.plane import (
     Span,
@@ -45,20 +48,14 @@ def edge(scene: Scene, B: float = 0.0) -> float:
 
 
 class TestEdge:
-    def test_the_critical_stiffness_of_a_free_handle(self) -> None:
-        for d, K in ((0, 1605.35), (1, 536.28), (5, 148.08), (10, 78.745), (100, 9.7415)):
-            assert edge(handle(delay=d)) == pytest.approx(K, abs=6e-3 if K > 100.0 else 6e-4)
-
-    def test_with_a_damper_as_strong_as_the_device_the_published_rule_errs_the_other_way(self) -> None:
-        scene = handle(delay=5)
-        assert edge(scene, 0.8) == pytest.approx(282.69, abs=5e-3)
-        assert float(published_rule(scene, 0.8)) == pytest.approx(290.91, abs=5e-3)  # type: ignore[arg-type]
-
-    def test_the_lines_laid_over_are_the_published_ones(self) -> None:
-        for d, K in ((0, 1600.0), (1, 533.33), (5, 145.45), (10, 76.19), (100, 7.960)):
-            assert published_rule(handle(delay=d), np.array([0.0])) == pytest.approx(K, abs=5e-3)
-            line = passive_line(handle(delay=d), np.array([0.0, 0.4, 0.8]))
-            assert line == pytest.approx([1600.0, 800.0, 0.0])
+    def test_the_critical_stiffness_of_a_free_handle_and_the_published_lines_beside_it(self) -> None:
+        """With a damper as strong as the device the published rule errs the other way."""
+        for d, B, K, rule in ((0, 0.0, 1605.35, 1600.0), (1, 0.0, 536.28, 533.33), (5, 0.0, 148.08, 145.45),
+                              (10, 0.0, 78.745, 76.19), (100, 0.0, 9.7415, 7.960), (5, 0.8, 282.69, 290.91)):
+            scene = handle(delay=d)
+            assert edge(scene, B) == pytest.approx(K, abs=6e-3 if K > 100.0 else 6e-4)
+            assert published_rule(scene, np.array([B])) == pytest.approx(rule, abs=5e-3)
+            assert passive_line(scene, np.array([0.0, 0.4, 0.8])) == pytest.approx([1600.0, 800.0, 0.0])
 
     @pytest.mark.parametrize("knobs", [
         {"B": 2.0, "delay": 4, "hand": 0.0}, {"B": 0.5, "b_e": 1.0}, *(pytest.param(each, marks=pytest.mark.full)
@@ -99,11 +96,10 @@ class TestEdge:
         assert squared.coarse
         assert boundary(squared, [0.0]).K[0] == pytest.approx((1e3 * 1605.35) ** 0.5, rel=1e-4)
 
-    def test_scaling_the_mass_and_all_damping_scales_the_stiffness(self) -> None:
-        assert edge(handle(m=0.12, b=2.4, delay=1), 1.5) == pytest.approx(3.0 * edge(handle(delay=1), 0.5), rel=1e-7)
-
-    def test_at_twice_the_rate_with_the_same_mass_over_time_the_stiffness_doubles(self) -> None:
-        assert edge(handle(m=0.02, dt=5e-4, delay=1), 0.5) == pytest.approx(2.0 * edge(handle(delay=1), 0.5), rel=1e-7)
+    def test_the_stiffness_scales_with_mass_and_all_damping_and_with_the_rate_at_the_same_mass_over_time(self) -> None:
+        own = edge(handle(delay=1), 0.5)
+        assert edge(handle(m=0.12, b=2.4, delay=1), 1.5) == pytest.approx(3.0 * own, rel=1e-7)
+        assert edge(handle(m=0.02, dt=5e-4, delay=1), 0.5) == pytest.approx(2.0 * own, rel=1e-7)
 
 
 class TestRegion:
@@ -143,3 +139,62 @@ class TestRegion:
         assert boundary(free, [0.0], Span(0.0, 1000.0)).K[0] == float("inf")
         assert boundary(free, [0.0], Span(2000.0, 1e4)).K == (0.0,)
         assert boundary(free, [0.0], Span(1500.0, 1e4)).K[0] == pytest.approx(1605.35, abs=5e-3)
+
+
+@pytest.mark.parametrize(("knobs", "B"), [
+    ({"delay": 2}, 0.8), *(pytest.param(*each, marks=pytest.mark.full) for each in (
+        ({}, 0.0), ({}, 0.8), ({"delay": 2}, 0.0), ({"every": 5}, 0.0), ({"every": 5}, 0.8)))])
+def test_without_an_encoder_it_is_the_edge_of_the_linear_loop(knobs: dict[str, int], B: float) -> None:
+    scene = load_scene("virtual_wall", **knobs)
+    exact = boundary(loop(scene, hand=True), [B]).K[0]
+    assert stiffest_at_rest(let_go(scene), B, near=exact) == pytest.approx(exact, rel=0.06)
+
+
+def test_the_encoder_wall_of_the_laboratory_hums_or_not() -> None:
+    for still, K, every, cap in ((True, 400.0, 1, None), (False, 2500.0, 1, None), (False, 400.0, 5, None),
+                                 (True, 400.0, 5, 0.8)):
+        scene = load_scene("encoder_wall", K=K, every=every, cap=cap)
+        assert settled(let_go(scene)).rests == still, (K, every, cap)
+
+
+@pytest.mark.full
+def test_a_passivity_controller_raises_what_comes_to_rest() -> None:
+    without, with_it = (
+        stiffest_at_rest(let_go(load_scene("encoder_wall", **knobs)), 0.0, near=1600.0) or 0.0
+        for knobs in ({}, {"cap": 0.8})
+    )
+    assert with_it > 1.3 * without
+
+
+def test_up_to_what_is_found_all_that_were_tried_rest() -> None:
+    scene = let_go(load_scene("virtual_wall", step=2e-5))
+    tried: list[tuple[float, bool]] = []
+
+    def noted(one: Scene, *, seed: int = 0) -> FreeMotion:
+        found = settled(one, seed=seed)
+        tried.append((one.law.K, found.rests))
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(teleop.analysis.zwidth.assess, "settled", noted)
+        K = stiffest_at_rest(scene, 0.2, near=3000.0)
+    assert max(tried[:10])[0] > 5.0 * tried[0][0]
+    assert all(rested == (stiffness <= K) for stiffness, rested in tried)
+    assert min(stiffness for stiffness, rested in tried if not rested) < 1.01 * K
+
+
+@pytest.mark.full
+def test_it_is_looked_for_within_the_range_alone() -> None:
+    scene = let_go(load_scene("virtual_wall"))
+    asked: list[int] = []
+    assert stiffest_at_rest(scene, 0.0, near=3000.0, high=2000.0, tell=lambda: asked.append(1)) == float("inf")
+    assert 2 <= len(asked) < 15
+    assert stiffest_at_rest(scene, 0.0, near=3000.0, low=5000.0) is None
+    assert stiffest_at_rest(scene, 0.0, near=100.0, high=4000.0) == pytest.approx(3600.0, rel=0.05)
+    assert stiffest_at_rest(scene, 0.0, near=1e6) == pytest.approx(3600.0, rel=0.05)
+
+
+def test_the_device_begins_outside_the_wall_and_the_hand_pulls_it_in() -> None:
+    scene = let_go(load_scene("virtual_wall", to=0.05))
+    assert scene.start_m == pytest.approx(0.029)
+    assert scene.hand.reference.samples(1, 3, scene.dt_ns) == ([0.05] * 3,)

@@ -33,9 +33,6 @@ def found() -> Advice:
 def test_the_jumps_are_those_of_the_force_that_the_run_has(found: Advice) -> None:
     """The advised law jumped by newtons from tick to tick, and the page said nothing of it."""
     best = found.best
-    assert best is not None
-    assert best.tuned is not None
-    assert found.jumps is not None
     scene = load_scene("hard_wall", **best.tuned.settings, link=FIXED["link"])
     forces = [run(scene, seed=seed).trace["f_m"] for seed in best.tuned.fresh]
     assert found.jumps.tick == max(float(abs(force[1:] - force[:-1]).max()) for force in forces)
@@ -48,8 +45,6 @@ def test_the_jumps_are_those_of_the_force_that_the_run_has(found: Advice) -> Non
 def test_the_printed_objective_was_that_of_the_seeds_it_was_chosen_by(found: Advice) -> None:
     """A wave was advised at 0.2107 +- 0.0007, and was 0.225 on other seeds."""
     best = found.best
-    assert best is not None
-    assert best.tuned is not None
     assert not {*best.tuned.seeds} & {*best.tuned.fresh}
     assert len(best.tuned.score.values) == len(best.tuned.fresh) >= 4
     mean = sum(best.tuned.score.values) / len(best.tuned.score.values)
@@ -145,8 +140,6 @@ def test_laws_are_ranked_and_the_best_runs_as_it_is_printed(found: Advice) -> No
     values = [one.value for one in found.laws]
     assert values == sorted(values)
     best = found.best
-    assert best is not None
-    assert best.tuned is not None
     assert best.value == values[0] < 1.0
     scene = load_scene("hard_wall", **best.tuned.settings, link=FIXED["link"])
     errors = [run(scene, seed=seed).metrics["x_err_rms"] for seed in (1, 2, 3, 4)]
@@ -161,9 +154,7 @@ def test_a_law_that_does_not_go_with_the_scene_is_said_to_be_refused(found: Advi
 
 def test_the_margin_is_the_last_wall_that_the_gains_stand(found: Advice) -> None:
     best = found.best
-    assert best is not None
     assert best.tuned is not None
-    assert best.margins is not None
     assert best.margins.wall >= 4000.0  # the search asks for twice the wall
     held, _ = score_changes(best.tuned, [{"k_e": best.margins.wall}], tasks=[SCENE])
     assert not held[0].broken
@@ -171,7 +162,6 @@ def test_the_margin_is_the_last_wall_that_the_gains_stand(found: Advice) -> None
 
 def test_the_page_has_law_gains_figures_and_what_to_type(found: Advice) -> None:
     page = " ".join(text(found).split())
-    assert found.best is not None
     for part in (f"take {found.best.law} with ", "rms of tracking", "margin", "promises",
                  "run it: teleop run hard_wall --set law="):
         assert part in page

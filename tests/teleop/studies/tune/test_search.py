@@ -33,7 +33,6 @@ def found() -> Tuned:
 
 def test_the_best_is_the_least_of_all_that_was_tried_within_the_budget(found: Tuned) -> None:
     assert found.feasible
-    assert found.default is not None
     assert found.score.value == min(each.value for _, each in found.tried if not each.broken) < found.default.value
     assert found.rows == 2 * len(found.tried) == found.budget == 16
 
@@ -101,10 +100,8 @@ def test_a_law_without_claims_has_the_margin_that_is_asked_for_in_its_linear_loo
     fixed = {**SHORT, "delay": 0.03}
     careful, careless = (tuned("direct", budget=45, fixed=dict(fixed), margin=wanted) for wanted in (4.0, 1.0))
     assert careful.feasible
-    assert careful.linear is not None
     assert careful.linear.gain >= 4.0 == careful.margin
     assert careful.linear == margin(load_scene("hard_wall", **careful.knobs))
-    assert careless.linear is not None
     assert 1.0 <= careless.linear.gain < 4.0  # so the margin is what made the difference
     assert careless.score.value < careful.score.value
 

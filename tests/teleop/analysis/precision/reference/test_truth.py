@@ -143,7 +143,6 @@ class TestTheDefault:
 
     def test_its_true_error_over_the_run_is_below_its_bound_and_not_far(self, pressed: Precision) -> None:
         bound = pressed.truth.bound
-        assert bound is not None
         assert all(0.3 * bound[name] < error.max <= bound[name] for name, error in pressed.entries[0].errors.items())
         assert pressed.truth.estimates["slave"]["ticks_over_tolerance"] == 0
 
@@ -169,7 +168,6 @@ class TestTheDefault:
         scene = load_scene("rubber", duration=1.0, **knobs)
         own = run(scene)
         bound = bound_of(scene, own)
-        assert bound is not None
         want = run(scene, bodies=reference_bodies(scene, "DOP853")).trace
         assert all(np.abs(own.trace[name] - want[name]).max() <= size for name, size in bound.items())
 
@@ -194,8 +192,7 @@ class TestTheDefault:
 
     def test_a_tighter_tolerance_is_a_smaller_error(self, pressed: Precision) -> None:
         finer = run(replace(pressed.scene, tolerance=1e-11)).trace
-        off = np.abs(finer["x_s"] - pressed.result.trace["x_s"]).max()
-        assert off < 0.05 * pressed.entries[0].errors["x_s"].max
+        assert np.abs(finer["x_s"] - pressed.result.trace["x_s"]).max() < 0.05 * pressed.entries[0].errors["x_s"].max
 
 
 class TestTheContenders:
@@ -219,6 +216,7 @@ class TestTheContenders:
         assert {each.contender.rtol for each in got.entries} == {None}
         assert "friction jumps at rest" in got.left_out["scipy's solvers"]
         assert "left out" in table(got)
+        assert not touching(scene, run(scene).trace).any(), "friction alone is not felt as a contact"
 
     @pytest.mark.full
     def test_what_misses_and_what_diverges_on_a_stiff_body_is_marked_and_kept(self, quick: None) -> None:  # noqa: F811
@@ -233,18 +231,13 @@ class TestTheContenders:
         assert any("missed" in line for line in lines)
         assert len(got.entries) == len(list(contenders(stiff)))
 
-    def test_friction_alone_is_not_felt_as_a_contact(self) -> None:
-        scene = strike(environment=None, slave=RUBBING)
-        assert not touching(scene, run(scene).trace).any()
-
-    def test_what_lies_below_the_references_own_error_is_not_told_apart(self) -> None:
-        first, better = entry("default", 100.0, 1e-8, 1e-5), entry("a", 130.0, 1e-9, 1e-6)
+    def test_below_the_references_own_error_nobody_is_told_apart_and_a_default_that_diverged_beats_nobody(self) -> None:
+        first, better, worse = (entry(*each) for each in (
+            ("default", 100.0, 1e-8, 1e-5), ("a", 130.0, 1e-9, 1e-6), ("a", 130.0, 1e-7, 1e-4)))
+        off = {"x_s": 1e-14, "f_env": 1e-9}
         assert verdicts([first, better])[1].beaten_by == "default"
-        assert verdicts([first, better], {"x_s": 1e-14, "f_env": 1e-9})[1].beaten_by is None
-
-    def test_a_default_that_diverged_where_the_reference_does_not_beats_nobody(self) -> None:
-        lost, worse = entry("default", 100.0, 1e-8, 1e-5, "diverged"), entry("a", 130.0, 1e-7, 1e-4)
-        assert verdicts([lost, worse], {"x_s": 1e-14, "f_env": 1e-9}, "ok")[1].beaten_by is None
+        assert verdicts([first, better], off)[1].beaten_by is None
+        assert verdicts([replace(first, status="diverged"), worse], off, "ok")[1].beaten_by is None
 
     @pytest.mark.full
     def test_so_it_is_in_a_comparison(self, quick: None) -> None:  # noqa: F811
@@ -320,6 +313,7 @@ OWN = '''
 from master import Grip, Rest
 from slave import HuntCrossley
 from teleop import MassDamper, Scene, Wave
+
 
 def scene() -> Scene:
     "A push into something that stiffens."
