@@ -1,8 +1,10 @@
-"""`teleop sweep` and `teleop report` of a sweep, as somebody types them."""
+"""`teleop sweep`, its summary and its report, as somebody types them."""
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from shlex import split
@@ -12,6 +14,20 @@ import pytest
 
 import teleop.sweeps.runner
 import teleop.terminal.plotting
+from teleop import Refused, Table, load_scene, sweep
+from teleop.scene.library import built_in_scenes
+from teleop.sweeps.pictures.report import (
+    PictureRequest,
+    joined,
+    limits_of,
+    picture,
+    status_rows,
+    summary_of,
+    told_of,
+    units_of,
+    words_of,
+    write,
+)
 
 Typed = Callable[..., Any]
 
@@ -80,8 +96,8 @@ class TestWhatIsTold:
                             lambda _, done, of, __: shown.append((done, of)))
         words = ("sweep", "soft_tissue", "--grid", "k_e=1:3:3", *SHORT)
         typed(*words)
-        assert shown[0] == (0, 3)
-        assert shown[-1] == (3, 3)
+        assert (shown[0], shown[-1]) == ((0, 3), (3, 3))
+        assert shown == sorted(shown)
         shown.clear()
         typed(*words)
         assert {*shown} == {(3, 3)}
@@ -127,18 +143,13 @@ class TestWhatIsTold:
         assert json.loads((FOLDER / "summary.json").read_text())["runs"] == []
 
 
-class TestTheRowsThatAreNotShown:
-    def test_had_no_word_on_how_to_see_them(self, typed: Typed) -> None:
+    def test_of_rows_that_are_not_shown_had_no_word_on_how_to_see_them(self, typed: Typed) -> None:
         said = typed("sweep", "soft_tissue", "--grid", "k_e=1:9:9", *SHORT, "--out", "my rows").out
         line = next(line for line in said.splitlines() if line.startswith("... and"))
         assert line == "... and 3 more: teleop report 'my rows' --rows 9"
         every = typed(*split(line.partition("teleop ")[2])).out
         assert [line.split()[2] for line in every.splitlines()[-10:-1]] == [str(k_e) for k_e in range(1, 10)]
         assert "... and 7 more: teleop report 'my rows' --rows 9" in typed("report", "my rows", "--rows", "2").out
-
-    def test_are_of_a_sweep_alone(self, typed: Typed) -> None:
-        typed("run", "local", *SHORT, "--out", "one")
-        typed("report", "one", "--rows", "3").assert_refused("holds a run", "leave --rows out")
 
 
 class TestThePicture:
@@ -213,16 +224,121 @@ class TestReport:
         assert "plot" not in swept("report", str(FOLDER)).out
         swept("report", str(FOLDER), "--picture", "curves").assert_refused("pip install")
 
-    def test_of_a_picture_that_cannot_be_is_refused(self, swept: Typed) -> None:
+    def test_of_another_folder_or_a_picture_that_cannot_be_is_refused(self, swept: Typed) -> None:
         pytest.importorskip("matplotlib")
         swept("report", str(FOLDER), "--picture", "heat").assert_refused("there is no picture 'heat'")
-
-    def test_of_a_folder_without_either_teaches(self, swept: Typed) -> None:
-        swept("report", "nowhere").assert_refused("there is no folder nowhere", "teleop sweep")
         swept("report", "runs").assert_refused(f"such as {FOLDER}")
-        Path("empty").mkdir()
-        swept("report", "empty").assert_refused("no run and no sweep")
+        swept("run", "canonical", *SHORT, "--out", "here")
+        swept("report", "here", "--metric", "x_err_max").assert_refused("which has one plot")
+        swept("report", "here", "--rows", "3").assert_refused("holds a run", "leave --rows out")
 
-    def test_of_a_run_has_one_plot(self, typed: Typed) -> None:
-        typed("run", "canonical", *SHORT, "--out", "here")
-        typed("report", "here", "--metric", "x_err_max").assert_refused("which has one plot")
+
+def call(ran: int, engine: str = "vector", **rest: Any) -> dict[str, Any]:
+    return {"command": ["teleop", engine], "engine": engine, "why": "w", "ran": ran, "seconds": float(ran),
+            "done": 10, "path": "p", **rest}
+
+
+class TestASummary:
+    def test_of_rows_that_nobody_noted_is_the_calls_own(self) -> None:
+        assert joined(call(0), {}) == {**call(0), "runs": []}
+        assert joined(call(1), {"runs": "torn"})["runs"][0]["ran"] == 1
+
+    def test_is_written_whole_or_not_at_all(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        assert summary_of(tmp_path) == {}
+        write(call(1), tmp_path)
+        assert summary_of(tmp_path) == call(1)
+
+        def full(*_: Any, **__: Any) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr(os, "replace", full)
+        with pytest.raises(Refused, match="the rows are kept"):
+            write(call(2), tmp_path)
+        assert summary_of(tmp_path) == call(1)
+
+    @pytest.mark.parametrize("text", ["", "{", "[1]", "\xff"])
+    def test_that_cannot_be_read_is_none(self, tmp_path: Path, text: str) -> None:
+        (tmp_path / "summary.json").write_text(text, encoding="latin-1")
+        assert summary_of(tmp_path) == {}
+
+
+def refused(counts: list[int]) -> Table:
+    """So many rows with each sentence, in turn, and a row that is ok."""
+    said = [f"why {i}" for i, count in enumerate(counts) for _ in range(count)]
+    rows: list[dict[str, Any]] = [{"row": i, "seed": 0, "k": i, "status": "refused", "ticks": 0, "sentence": text}
+                                  for i, text in enumerate(said)]
+    return Table([*rows, {"row": len(said), "seed": 0, "k": 0, "status": "ok", "ticks": 1}], ("k",), ())
+
+
+class TestRefusals:
+    def test_are_told_by_their_sentences_the_most_frequent_first_and_of_many_kinds_in_part(self) -> None:
+        assert status_rows(refused([1, 3])) == [
+            ("status", "5 done: 1 ok, 4 refused"), ("refused", "3 rows: why 1"), ("", "1 row: why 0")]
+        assert status_rows(refused([5, 4, 3, 2, 1]))[-2:] == [
+            ("", "3 rows: why 2"), ("", "and 2 more sentences in 3 rows, which rows.jsonl has")]
+        assert status_rows(refused([])) == [("status", "1 done: 1 ok")]
+        assert status_rows(Table([], ("k",), ())) == [("status", "0 done: none")]
+
+
+class TestUnits:
+    def test_are_those_that_the_list_of_knobs_shows(self) -> None:
+        units = units_of("soft_tissue", ("delay", "law.b"))
+        assert {key: unit for key, unit in units.items() if not key.startswith("law.")} == {
+            "x_limit": "m", "clutch_ramp": "s", "delay": "s", "k_e": "N/m", "d_e": "N s/m", "amplitude": "m",
+            "frequency": "Hz", "observer": "1/s", "dt": "s", "duration": "s"}
+        assert (units["law.b"], units["law.K"], units["law.B"]) == ("N s/m", "N/m", "N s/m")
+
+    def test_of_one_name_differ_between_scenes_and_of_one_that_is_gone_are_none(self) -> None:
+        assert units_of("rubber", ())["k_e"] == "N/m^n"
+        assert units_of("jittery_wan", ())["jitter"] == "s"
+        assert "loss" not in units_of("jittery_wan", ())  # a probability
+        assert all({"dt", "duration"} <= units_of(name, ()).keys() for name in built_in_scenes())
+        assert units_of("gone.py", ("k",)) == {}
+
+
+def test_limits_are_those_of_the_scene_unless_they_are_turned() -> None:
+    first = load_scene("soft_tissue", x_limit=0.3)
+    assert limits_of(first, ()) == {"duration": 10.0, "x_limit": 0.3}
+    assert limits_of(first, ("x_limit",)) == {"duration": 10.0}
+
+
+class TestAFolder:
+    @pytest.fixture
+    def folder(self, tmp_path: Path) -> Path:
+        sweep("soft_tissue", {"delay": [0.0, 0.05], "k_e": [100.0, 200.0, -1.0]}, fixed={"duration": 0.1},
+              out=tmp_path / "s")
+        return tmp_path / "s"
+
+    def test_without_a_summary_tells_its_definition_and_its_rows(self, folder: Path) -> None:
+        told, text, table = told_of(folder)
+        assert (told["scene"], told["done"], len(table)) == ("soft_tissue", 6, 6)
+        assert told["counts"] == {"ok": 4, "refused": 2}
+        assert "engine" not in text
+        assert "refused   2 rows: k_e must be at least 0 N/m, not -1" in text
+
+    def test_with_one_tells_what_ran_it_and_counts_the_rows_as_they_are(self, folder: Path) -> None:
+        write(joined(call(4, why="few rows", done=4, rows=6), joined(call(2), {})), folder)
+        told, text, _ = told_of(folder)
+        assert "engine    vector: few rows" in text
+        assert "2 calls ran rows" in text
+        assert (told["done"], told["engine"], len(told["runs"]), told["path"]) == (6, "vector", 2, str(folder))
+        json.dumps(told)
+
+    def test_is_drawn_with_units_and_limits(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        pytest.importorskip("matplotlib")
+        asked: list[Any] = []
+        monkeypatch.setattr("teleop.sweeps.pictures.report.draw",
+                            lambda *given, **named: asked.append((given, named)) or [given[1]])
+        told, _, table = told_of(folder)
+        limits = {"x_limit": 0.3, "duration": 5.0}
+        request, drawn_in = PictureRequest("metric", "x_err_max"), folder / "sweep"
+        assert picture(table, folder, {**told, "limits": limits}, request, trust=False) == [drawn_in]
+        picture(table, folder, told, PictureRequest(), trust=True)
+        (first, named), (second, bare) = asked
+        assert first[1:] == (drawn_in, "metric")
+        assert second[2] is None
+        assert named["metric"] == "x_err_max"
+        assert named["units"]["k_e"] == "N/m"
+        assert named["words"] == {"ok": "ok: within 0.3 m for 5 s", "diverged": "diverged: beyond x_limit = 0.3 m"}
+        assert bare["words"] == {}
+        assert words_of({"limits": {**limits, "x_limit": 1e6}}, {}) == {"ok": "ok: ran 5 s"}, "a bound that bounds none"

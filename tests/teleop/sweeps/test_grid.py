@@ -58,7 +58,8 @@ class TestNumbering:
         assert made.point(9) == ({"law": "pfra", "delay": 0.1, "k_e": 2.0}, 1)
         assert list(made.point(0)[0]) == ["law", "delay", "k_e"]
 
-    def test_of_a_thousand_million_rows_takes_no_room(self) -> None:
+    def test_of_a_thousand_million_rows_takes_no_room_and_without_axes_is_that_of_the_seeds(self) -> None:
+        assert [grid({}, [5, 7]).point(i) for i in (0, 1)] == [({}, 5), ({}, 7)]
         made = grid({"delay": range(1000), "k_e": range(1000)}, 1000)
         assert len(made) == 10**9
         assert made.point(10**9 - 1) == ({"delay": 999, "k_e": 999}, 999)
@@ -79,9 +80,6 @@ class TestNumbering:
         with pytest.raises(Refused) as refused:
             grid({"delay": [0.0, 0.1]}, 2).point(row)
         assert_refused(refused, f"no row {row}", "0 to 3")
-
-    def test_without_axes_is_that_of_the_seeds(self) -> None:
-        assert [grid({}, [5, 7]).point(i) for i in (0, 1)] == [({}, 5), ({}, 7)]
 
 
 def _stride(of: dict[str, list[Any]], name: str) -> int:
@@ -291,15 +289,12 @@ class TestSample:
         assert [few.point(i) for i in range(n)] == [many.point(i) for i in range(n)]
 
     @pytest.mark.parametrize("latin", [True, False])
-    def test_draws_each_knob_by_itself(self, latin: bool) -> None:
+    def test_draws_each_knob_by_itself_and_is_the_same_for_the_same_key_alone(self, latin: bool) -> None:
         one = sampled({"delay": Range(0.0, 0.5)}, 100, key=3, latin=latin)
         two = sampled({"k_e": Range(1.0, 2.0), "delay": Range(0.0, 0.5)}, 100, key=3, latin=latin)
         assert [one.point(i)[0]["delay"] for i in range(100)] == [two.point(i)[0]["delay"] for i in range(100)]
         u = np.array([[two.point(i)[0]["k_e"] - 1.0, two.point(i)[0]["delay"] * 2.0] for i in range(100)])
         assert abs(np.corrcoef(u.T)[0, 1]) < 0.3  # three deviations of 100 independent pairs
-
-    @pytest.mark.parametrize("latin", [True, False])
-    def test_is_the_same_for_the_same_key_alone(self, latin: bool) -> None:
         made = [sampled({"delay": Range(0.0, 0.5)}, 50, key=key, latin=latin) for key in (1, 1, 2)]
         assert made[0] == made[1] != made[2]
         assert made[0].definition() == made[1].definition() != made[2].definition()

@@ -90,19 +90,16 @@ class TestARow:
         single = run(load_scene("hard_wall", **knobs)).metrics
         assert (row["queue_fwd_end"], row["queue_bwd_max"]) == (single["queue_fwd_end"], single["queue_bwd_max"])
 
-    def test_that_cannot_be_is_refused_by_itself(self) -> None:
-        table = sweep("soft_tissue", {"k_e": [100.0, -1.0]}, fixed=FIXED)
-        good, bad = rows(table)
-        assert good["status"] == "ok"
-        assert bad["status"] == "refused"
-        assert "k_e" in bad["sentence"]
-
-    def test_whose_bodies_cannot_be_made_stopped_the_whole_sweep(self) -> None:
+    def test_that_cannot_be_is_refused_by_itself_and_one_whose_bodies_cannot_be_made_stopped_the_whole_sweep(
+        self
+    ) -> None:
         """Friction and electrical damping are known one by one only, which the bodies say, not the scene."""
-        good, bad = rows(sweep("virtual_wall", {"friction": [0.0, 0.1]}, fixed={"b_e": 1.0, "duration": 0.1}))
-        assert good["status"] == "ok"
-        assert bad["status"] == "refused"
-        assert "leave one of them out" in bad["sentence"]
+        for scene, axes, fixed, words in (
+                ("soft_tissue", {"k_e": [100.0, -1.0]}, FIXED, "k_e"),
+                ("virtual_wall", {"friction": [0.0, 0.1]}, {"b_e": 1.0, "duration": 0.1}, "leave one of them out")):
+            good, bad = rows(sweep(scene, axes, fixed=fixed))
+            assert (good["status"], bad["status"]) == ("ok", "refused")
+            assert words in bad["sentence"]
 
     def test_that_diverges_is_a_row(self) -> None:
         row, = rows(sweep("soft_tissue", {"law": ["direct"]}, fixed={**FIXED, "x_limit": 1e-3}))
@@ -112,18 +109,11 @@ class TestARow:
         assert row["x_err_rms"] == single.metrics["x_err_rms"]
 
 
-class TestWhoeverRunsIt:
-    def test_the_rows_are_the_same(self) -> None:
-        one_by_one = rows(sweep("soft_tissue", AXES, seeds=3, fixed=FIXED))
-        for pool in (Backwards(), ThreadPoolExecutor(1), ThreadPoolExecutor(3), ProcessPoolExecutor(2)):
-            with pool:
-                assert rows(sweep("soft_tissue", AXES, seeds=3, fixed=FIXED, executor=pool)) == one_by_one, pool
-
-    def test_is_told_how_far_it_has_come(self) -> None:
-        told: list[tuple[int, int]] = []
-        sweep("soft_tissue", AXES, fixed=FIXED, show=lambda done, of: told.append((done, of)))
-        assert told == sorted(told)
-        assert told[-1] == (6, 6)
+def test_whoever_runs_it_the_rows_are_the_same() -> None:
+    one_by_one = rows(sweep("soft_tissue", AXES, seeds=3, fixed=FIXED))
+    for pool in (Backwards(), ThreadPoolExecutor(1), ThreadPoolExecutor(3), ProcessPoolExecutor(2)):
+        with pool:
+            assert rows(sweep("soft_tissue", AXES, seeds=3, fixed=FIXED, executor=pool)) == one_by_one, pool
 
 
 class TestAStop:
@@ -142,12 +132,6 @@ class TestAStop:
         written = [json.loads(line)["row"] for line in (tmp_path / "s" / "rows.jsonl").read_text().splitlines()]
         assert sorted(written) == list(range(24))
 
-    def test_of_another_sweep_is_not_gone_on_with(self, tmp_path: Path) -> None:
-        sweep("soft_tissue", {"d_e": [0.0]}, fixed=FIXED, out=tmp_path / "s")
-        for other in ({"axes": {"d_e": [0.1]}}, {"fixed": {**FIXED, "k_e": 3.0}}, {"metrics": ["f_m_max"]}):
-            with pytest.raises(Refused):
-                sweep("soft_tissue", **{"axes": {"d_e": [0.0]}, "fixed": FIXED, "out": tmp_path / "s", **other})  # type: ignore[arg-type]  # one of them is other
-
 
 class Water:
     """A link that says nothing of itself but where it lies in memory."""
@@ -165,6 +149,7 @@ def test_a_part_that_reads_differently_at_every_start_is_refused_before_its_fold
 
 OWN = """
 from teleop import load_scene
+
 
 def scene(*, k_e: float = 100.0):
     return load_scene("soft_tissue", duration={duration}, k_e=k_e)
@@ -190,6 +175,8 @@ def test_a_number_typed_otherwise_is_the_same_sweep(tmp_path: Path) -> None:
     *[("plain", metrics) for metrics in ([], ["fresh_fwd"], ["g_m_min"], ["E_link_min"])], ("vector", []),
     *[pytest.param(*each, marks=pytest.mark.full) for each in (
         ("c", []), ("vector", ["fresh_fwd"]), ("vector", ["g_m_min"]), ("vector", ["E_link_min"]))]])
+
+
 def test_a_kernel_that_is_asked_for_no_figure_of_its_own_runs_all_the_same(engine: str, metrics: list[str]) -> None:
     compiler_of(engine)
     fixed = {"duration": 0.1, "law": "direct", "energy": bool(metrics)}
@@ -299,22 +286,17 @@ class TestAWrongRequest:
                 plan_sweep("soft_tissue", engine=engine)
 
 
-class TestWorkers:
-    def test_are_as_many_as_this_process_may_use_cores(self) -> None:
+def test_workers_are_as_many_as_this_process_may_use_cores_or_the_whole_number_that_was_asked_for(
+    tmp_path: Path
+) -> None:
+    for asked, workers in (({}, cores()), ({"workers": 3}, 3)):
         plan = plan_sweep("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED)
         assert plan.workers == 0
-        carry_out(plan)
-        assert plan.workers == cores() >= 1
-
-    def test_are_those_that_were_asked_for(self) -> None:
-        plan = plan_sweep("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED)
-        carry_out(plan, workers=3)
-        assert plan.workers == 3
-
-    def test_are_a_whole_number_or_nothing_is_written(self, tmp_path: Path) -> None:
-        with pytest.raises(Refused, match="workers must be a whole number from 1"):
-            sweep("soft_tissue", {}, workers=0, out=tmp_path / "s")
-        assert not (tmp_path / "s").exists()
+        carry_out(plan, **asked)
+        assert plan.workers == workers >= 1
+    with pytest.raises(Refused, match="workers must be a whole number from 1"):
+        sweep("soft_tissue", {}, workers=0, out=tmp_path / "s")
+    assert not (tmp_path / "s").exists()
 
 
 # Ctrl-C: what is done is kept, and nobody waits for work that cannot be stopped
@@ -353,6 +335,7 @@ import time
 from pathlib import Path
 from teleop import load_scene
 
+
 def scene(*, k_e: float = 100.0):
     if k_e == 3.0:
         Path("busy").touch()
@@ -387,6 +370,7 @@ def test_a_process_that_was_interrupted_stayed_until_its_threads_were_done(
 SCENE = '''
 from master import Grip, Rest
 from teleop import BackwardDifference, Device, MassDamper, Scene, VirtualWall
+
 
 def scene(*, K: float = 100.0, delay: int = 0, near: float = 100.0, duration: float = 60.0) -> Scene:
     """A handle pressed some 30 mm into a virtual wall, 0.1 mm from rest: it swings in contact, and dies or grows."""
@@ -424,6 +408,7 @@ from channel import Delay, Link
 from master import Grip, Rest
 from slave import Tissue
 from teleop import Direct, MassDamper, Scene
+
 
 def scene(*, forth: int = 1, back: int = 1, k: float = 400.0, duration: float = 60.0) -> Scene:
     """Two handles, position-force, held by 100 N/m and 2 N s/m on a bonded wall, let go 1 mm from rest."""

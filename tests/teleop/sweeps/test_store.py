@@ -126,16 +126,12 @@ class TestAfterAKill:
             assert list(looked.done) == [0, 1]
             assert list(looked.rows()) == [row(0), row(1)]
             assert (tmp_path / "s" / "rows.jsonl").stat().st_size == size  # looking changes nothing
+            Store.open(tmp_path / "s", WHAT).close()
+            assert (tmp_path / "s" / "rows.jsonl").read_bytes() == whole[:begins]
             with Store.open(tmp_path / "s", WHAT) as store:
                 assert list(store.done) == [0, 1]
                 store.append([row(2)])
             assert (tmp_path / "s" / "rows.jsonl").read_bytes() == whole
-
-    def test_only_whole_lines_are_left_even_if_nothing_is_added(self, tmp_path: Path) -> None:
-        whole = (filled(tmp_path / "s") / "rows.jsonl").read_bytes()
-        (tmp_path / "s" / "rows.jsonl").write_bytes(whole + b'{"row":3,"se')
-        Store.open(tmp_path / "s", WHAT).close()
-        assert (tmp_path / "s" / "rows.jsonl").read_bytes() == whole
 
     def test_a_line_that_a_disk_spoiled_is_dropped_and_no_other(self, tmp_path: Path) -> None:
         for n, bad in enumerate((
@@ -291,11 +287,9 @@ class TestAnotherSweep:
         for same in (dict(reversed(WHAT.items())), {**WHAT, "metrics": ("x_err_rms",)}, changed([0, np.float64(0.1)])):
             with Store.open(tmp_path / "s", same) as store:
                 assert len(store.done) == 3, same
-
-    def test_true_is_not_one(self, tmp_path: Path) -> None:
-        Store.open(tmp_path / "s", {"energy": 1}).close()
+        Store.open(tmp_path / "t", {"energy": 1}).close()
         with pytest.raises(Refused, match="energy is 1 there and true here"):
-            Store.open(tmp_path / "s", {"energy": True})
+            Store.open(tmp_path / "t", {"energy": True})
 
     def test_with_a_long_axis_is_told_in_a_sentence(self, tmp_path: Path) -> None:
         Store.open(tmp_path / "s", {"values": list(range(1000))}).close()
@@ -304,15 +298,10 @@ class TestAnotherSweep:
         assert len(str(caught.value)) < 400 + 2 * len(str(tmp_path))
 
 
-def something(folder: Path) -> None:
-    folder.mkdir()
-    (folder / "thesis.tex").write_text("x")
-
-
-def of_others(content: str) -> Callable[[Path], None]:
+def of_others(content: str, name: str = "sweep.json") -> Callable[[Path], None]:
     def make(folder: Path) -> None:
         folder.mkdir()
-        (folder / "sweep.json").write_text(content)
+        (folder / name).write_text(content)
 
     return make
 
@@ -320,8 +309,8 @@ def of_others(content: str) -> Callable[[Path], None]:
 class TestAFolderOfSomethingElse:
     def test_is_refused_and_left_as_it_is(self, tmp_path: Path) -> None:
         makers: tuple[Callable[[Path], Any], ...] = (
-            something, Path.touch, lambda folder: folder.symlink_to("nowhere"), of_others("method: bayes"),
-            of_others("[]"), of_others('{"sce'), of_others('{"method": "grid"}'),
+            of_others("x", "thesis.tex"), Path.touch, lambda folder: folder.symlink_to("nowhere"),
+            of_others("method: bayes"), of_others("[]"), of_others('{"sce'), of_others('{"method": "grid"}'),
             lambda folder: (folder / "sweep.json").mkdir(parents=True))
         for n, make in enumerate(makers):
             folder = tmp_path / str(n) / "s"
@@ -332,9 +321,7 @@ class TestAFolderOfSomethingElse:
                 pytest.fail(f"{n}: {Store.open(folder, WHAT)}")
             assert "--out" in str(caught.value), n
             assert sorted((path, path.is_file() and path.read_bytes()) for path in folder.parent.rglob("*")) == before
-
-    def test_cannot_be_looked_at_either(self, tmp_path: Path) -> None:
-        for folder in (tmp_path, tmp_path / "not there"):
+        for folder in (tmp_path, tmp_path / "not there"):  # nor can it be looked at
             with pytest.raises(Refused, match="holds no sweep"):
                 Store.look(folder)
 
@@ -439,7 +426,6 @@ for turn in sys.stdin:  # all start at the same line
 
     @staticmethod
     def tell(child: subprocess.Popen[str], line: str) -> None:
-        assert child.stdin is not None
         child.stdin.write(line + "\n")
         child.stdin.flush()
 

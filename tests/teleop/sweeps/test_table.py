@@ -127,8 +127,7 @@ class TestColumns:
         assert table["law"].dtype == table["status"].dtype == object
         assert table["law"].tolist() == ["wave"] * 3
         assert made(row(0, n=True), row(1, n=False))["n"].dtype == bool
-
-    def test_of_several_kinds_are_objects(self) -> None:
+        assert all(isnan(value) for value in made(row(0), row(1))["E_link_min"]), "which no row has"
         values = [1.0, "none", [0.1, 0.2], True, None]
         table = made(*(row(i, delay=value) for i, value in enumerate(values)))
         assert table["delay"].tolist() == values
@@ -268,14 +267,10 @@ class TestText:
         assert len(lines) == 9
         assert len({line.rfind(" ", 0, 20) for line in lines[2:-1]}) == 1
 
-    def test_is_one_line_where_python_prints_a_value(self) -> None:
+    def test_is_one_line_where_python_prints_a_value_or_there_is_nothing_and_stays_narrow(self) -> None:
         assert repr(made(row(0), row(1, status="diverged"))) == (
             "Table(2 rows of delay, law, n: 1 ok, 1 diverged; metrics x_err_rms, E_link_min)")
-
-    def test_of_nothing_is_one_line(self) -> None:
         assert str(made()) == "0 rows, 3 knobs, 2 metrics"
-
-    def test_stays_narrow(self) -> None:
         assert max(map(len, str(made(row(0, law="a | very | long | link " * 50))).splitlines())) < 120
 
 
@@ -303,7 +298,3 @@ class TestSize:
         table = Table(({"row": i, "seed": 0, "link": "delay(0.05) | uniform(0.02)", "status": "ok", "ticks": 1}
                        for i in range(1000)), ("link",), ())
         assert len({id(value) for value in table["link"]}) == 1
-
-
-def test_a_metric_that_no_row_has_is_all_nan() -> None:
-    assert all(isnan(value) for value in made(row(0), row(1))["E_link_min"])

@@ -48,34 +48,27 @@ def of_another_user(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class TestAFolder:
-    def test_of_ones_own_is_private_from_the_start_and_is_made_use_of(self, place: Path) -> None:
-        kernels = made(place)
-        assert [stat.S_IMODE(each.stat().st_mode) for each in (kernels, kernels.parent)] == [0o700, 0o700]
-        assert open_to_others(kernels, "teleop_kernel_") is None
-
-    @pytest.mark.parametrize("mode", [0o777, 0o775, 0o757, 0o1777])
-    def test_that_others_may_write_to_is_not(self, mode: int, place: Path) -> None:
-        kernels = made(place)
-        kernels.parent.chmod(0o755)
-        kernels.chmod(mode)
-        assert f"others may write to {kernels} (mode {mode:o})" in str(open_to_others(kernels))
-
-    def test_below_one_that_others_may_write_to_is_not(self, place: Path) -> None:
+    def test_of_ones_own_is_private_and_made_use_of_whatever_a_wide_umask_left_in_it_also_where_only_owners_remove(
+        self, place: Path
+    ) -> None:
         kernels = made(place / "cache")
+        assert [stat.S_IMODE(each.stat().st_mode) for each in (kernels, kernels.parent)] == [0o700, 0o700]
+        for folder, mode in ((kernels, 0o700), (place / "cache", 0o1777), (kernels, 0o775)):
+            folder.chmod(mode)
+            assert open_to_others(kernels, "teleop_kernel_") is None
+        (kernels / "teleop_kernel_c_1.so").chmod(0o664)
+        assert open_to_others(kernels, "teleop_kernel_") is None, "no other user may enter the folder above"
+
+    def test_that_others_may_write_to_or_below_such_a_one_is_not(self, place: Path) -> None:
+        kernels = made(place / "cache")
+        for folder in (kernels.parent, place / "cache"):
+            folder.chmod(0o755)
+        for mode in (0o777, 0o775, 0o757, 0o1777):
+            kernels.chmod(mode)
+            assert f"others may write to {kernels} (mode {mode:o})" in str(open_to_others(kernels))
+        kernels.chmod(0o755)
         (place / "cache").chmod(0o777)
         assert f"others may write to {place / 'cache'}" in str(open_to_others(kernels))
-
-    def test_below_one_where_only_owners_remove_is_made_use_of(self, place: Path) -> None:
-        kernels = made(place / "cache")
-        (place / "cache").chmod(0o1777)
-        assert open_to_others(kernels, "teleop_kernel_") is None
-
-    def test_that_no_other_user_may_enter_is_made_use_of_whatever_a_wide_umask_left_in_it(self, place: Path) -> None:
-        kernels = made(place)
-        kernels.chmod(0o775)
-        (kernels / "teleop_kernel_c_1.so").chmod(0o664)
-        assert kernels.parent.stat().st_mode & 0o077 == 0
-        assert open_to_others(kernels, "teleop_kernel_") is None
 
     @pytest.mark.parametrize("which", [".", "..", "teleop_kernel_c_1.so"])
     def test_of_another_user_or_with_a_file_of_theirs_is_not(
@@ -170,7 +163,6 @@ class TestASweep:
                     env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(place / "cache"), **env}))
             stdin, stdout = started[0].stdin, started[0].stdout
             assert stdin is not None
-            assert stdout is not None
             print(out, file=stdin, flush=True)
             assert stdout.readline() == "0\n"
             return (place / f"{out}.err").read_text()

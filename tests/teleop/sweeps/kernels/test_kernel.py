@@ -7,36 +7,36 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from math import hypot
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
 from scenarios.virtual_wall import scene as virtual_wall
 from slave import StandardLinearSolid, Wall
-from teleop import At, load_scene, run
+from teleop import At, Device, Scene, load_scene, run
 from teleop.laws.direct import Back, Direct, Forth
 from teleop.physics.carried import at_rest, carried, is_carried
 from teleop.physics.plant import MassDamper, free_space
 from teleop.scene.library import ROOT
 from teleop.simulation.bodies import exact_bodies, with_inner
+from teleop.simulation.prepared import prepare
 from teleop.sweeps.chunk import Job, work
+from teleop.sweeps.engine import kernel_of
 from teleop.sweeps.kernels import c_kernel
 from teleop.sweeps.kernels.c_kernel import Form, kernel_text
-from teleop.sweeps.kernels.kernel import kernel_lines
+from teleop.sweeps.kernels.kernel import Kernel, NotCompiled, figures, kernel_lines
 from teleop.sweeps.runner import plan_sweep
-from tests.engines.engines import assert_as_plain, kernel_rows
+from tests.engines.engines import assert_as_plain, inputs, kernel_rows
 from tests.programs import COMPILERS, program
 
 
-def test_figures_that_are_not_asked_for_have_no_lines() -> None:
+def test_a_kernel_has_lines_for_what_the_scene_names_and_the_figures_that_are_asked_for_alone() -> None:
     of = load_scene("canonical", energy=True)
     assert "force_s0" not in kernel_lines(of, ("x_err_max",)).text()
     assert "force_s0" in kernel_lines(of, ("f_env_max",)).text()
     assert "old_x" not in kernel_lines(of, ("f_m_max",)).text()
-
-
-def test_a_kernel_of_lanes_holds_only_what_the_scene_names() -> None:
     of = replace(load_scene("free_motion", link="none"), energy=False)
     text = kernel_text(of, exact_bodies(of), ("x_err_rms",), Form(4))
     assert "move_free" in text
@@ -330,3 +330,88 @@ def test_a_register_of_another_size_holds_the_same_bits(lanes: int, monkeypatch:
     for name in ("ticks left out", "a one-port"):
         for engine in ("alike", "apart"):
             assert_as_plain(name, engine)
+
+
+class Turns(NamedTuple):
+    count: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Divides:
+    """A law that divides by zero at its 20th tick, after which it goes on as before."""
+
+    at: float = 20.0
+
+    def start(self, at: Any) -> Turns:
+        return Turns(0.0)
+
+    def force(self, s: Turns, at: Any) -> tuple[float, Turns]:
+        scale = 1.0 / (s.count - self.at)
+        return (100.0 * at.x if scale * scale < 4.0 else 0.0), Turns(s.count + 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hypotenuse:
+    """A law with a function that has no line in C."""
+
+    K: float = 100.0
+
+    def start(self, at: Any) -> tuple[()]:
+        return ()
+
+    def force(self, s: tuple[()], at: Any) -> tuple[float, tuple[()]]:
+        return self.K * hypot(at.x, 0.0), s
+
+
+def scene_of(law: Any) -> Scene:
+    return replace(virtual_wall(b=0.81, energy=False), law=law, duration=0.1)
+
+
+def row_of(of: Scene) -> tuple[Kernel, Any]:
+    kernel, _ = kernel_of(prepare(of), ("f_m_max",), "c")
+    return kernel, figures(kernel, [inputs(kernel, of, 0)])[0]
+
+
+def test_a_row_in_which_python_would_have_raised_ends_as_diverged() -> None:
+    program(*COMPILERS)
+    with pytest.raises(Exception, match="division"):
+        run(scene_of(Divides()))
+    kernel, (status, ticks, _) = row_of(scene_of(Divides()))
+    assert (kernel.engine, status, ticks) == ("c", "diverged", 100)
+    assert row_of(scene_of(Divides(at=-1.0)))[1][0] == "ok"
+
+
+def test_what_has_no_line_in_c_runs_by_another_engine_which_says_why() -> None:
+    program(*COMPILERS)
+    of = scene_of(Hypotenuse())
+    kernel, row = row_of(of)
+    assert kernel.engine == "plain"
+    assert "`hypot` is rounded otherwise" in kernel.why
+    assert row[2]["f_m_max"] == run(of).metrics["f_m_max"]
+
+
+def test_a_row_of_very_many_numbers_kept_the_compiler_busy_for_a_minute() -> None:
+    program(*COMPILERS)
+    of = replace(virtual_wall(b=0.81), device_m=Device(delay=3000))
+    with pytest.raises(NotCompiled, match="numbers, above 2000, which are too many to be laid out"):
+        c_kernel.c_kernel(of, prepare(of).bodies, ("f_m_max",))
+
+
+def test_without_a_compiler_a_row_runs_by_another_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(c_kernel, "find_compiler", lambda: None)
+    kernel, _ = row_of(replace(scene_of(Divides(at=-2.0)), energy=True))
+    assert (kernel.engine, kernel.why) == ("plain", "there is no C compiler")
+
+
+def test_a_damaged_library_in_the_cache_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program(*COMPILERS)
+    monkeypatch.setattr(c_kernel, "folder", lambda: tmp_path / "kernels")
+    of = replace(scene_of(Divides(at=-3.0)), observer=None)
+    made = prepare(of)
+    c_kernel.c_kernel(of, made.bodies, ("f_m_max",))
+    library, = (tmp_path / "kernels").iterdir()
+    library.unlink()  # a library that is loaded is not written to
+    library.write_bytes(b"\x7fELF and no more")
+    kernel, row = row_of(of)
+    assert (kernel.engine, kernel.why) == ("c", "")
+    assert row[2]["f_m_max"] == run(of).metrics["f_m_max"]
