@@ -1,21 +1,30 @@
-"""The page of a run, and of several side by side: all that the run was, in figures that are its data."""
+"""The page of a run, and of several side by side: all that the run was, in figures that are its data, and texts."""
 
 from __future__ import annotations
 
 import json
 import re
+import subprocess
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import teleop.terminal.plotting
 from teleop import Result, load_scene, run
+from teleop.report.markup import LONGEST, Markup, element, empty, path_data
+from teleop.report.markup import text as text_of
 from teleop.report.of_runs import RunView, most_to_see, of_one, of_parts, of_several
 from teleop.report.page import page
 from teleop.report.strips import Strip, strips
 from teleop.scene.axes import AxisLabels
+from teleop.terminal.table import printable
+from tests.browser import Browser
+from tests.programs import BROWSERS, program
 from tests.teleop.report.read_page import SVG, Page, curves, frames, texts
 
 pytest.importorskip("matplotlib")
@@ -61,6 +70,8 @@ class TestOne:
         assert f"x_m master from {1e3 * float(canonical.trace['x_m'].min()):.1f} mm to {peak:.1f} mm" in str(
             shown.figure("position").findtext(f"{SVG}desc"))
         assert {*json.loads(json.dumps(canonical.summary(), default=str))["parameters"]} <= {*shown.texts}
+        nothing = {name: column[:0] for name, column in canonical.trace.items()}  # it never came to a tick
+        assert of(told(replace(canonical, trace=nothing, ticks=0))).figures == []
 
     def test_every_spike_of_one_tick_of_a_long_run_is_drawn_where_it_was_and_as_high(self) -> None:
         rows = 300_000
@@ -96,10 +107,6 @@ class TestOne:
         assert ends == [0, 39, 60, 89, 91, 97, 99, 99], "the last is a point by itself"
         heights = sorted(y for piece in pieces for _, y in piece)
         assert top <= heights[0] < heights[-1] - 0.8 * height <= top + 0.2 * height
-
-    def test_of_a_run_that_never_came_to_a_tick_has_no_figure(self, canonical: Result) -> None:
-        nothing = replace(canonical, trace={name: column[:0] for name, column in canonical.trace.items()}, ticks=0)
-        assert of(told(nothing)).figures == []
 
     @pytest.mark.full
     def test_six_joints_have_a_panel_each_on_a_scale_of_its_own_and_three_of_several_runs(self, joints: Result) -> None:
@@ -220,9 +227,80 @@ class TestTheWords:
             assert re.search(r"1\.00 nm|1e-09 m", shown), "what is small but no rounding stays"
         assert small.metrics["f_m_end"] == 4.98e-15
 
-    def test_on_the_parts_of_a_page_are_in_order_with_what_began_them(self, canonical: Result) -> None:
-        part = run(load_scene("canonical", duration=0.1, law="direct"))
-        begun = [(0, "start"), (4000, "switched")]
-        section = of_parts("pg", [told(canonical), told(part)], begun, {"scene": "canonical"})
-        assert {"canonical, 2 parts on the page", "start", "switched", "4.0 s", "wave(b=2, K=500, B=20)",
-                "direct(K=500, B=20, kf=1)"} <= {*Page(page([section])).texts}
+
+@given(said=st.text(max_size=80))
+@settings(max_examples=50)
+def test_whatever_is_put_in_is_read_again_as_text_and_as_attribute(said: str) -> None:
+    page = Page(element("p", {"title": said}, said).encode())
+    assert page.elements == [("p", {"title": printable(said)})]
+    assert "".join(page.texts) == printable(said)
+
+
+def test_markup_is_put_in_as_it_is_and_a_text_is_not_longer_than_is_read() -> None:
+    assert element("p", None, element("b", None, "<i>")) == "<p><b>&lt;i&gt;</b></p>"
+    assert empty("path", {"d": "M0 0", "class": None}) == '<path d="M0 0"/>'
+    assert len(text_of("x" * 10 * LONGEST)) == LONGEST
+
+
+def test_only_the_commands_of_a_path_are_taken_for_one() -> None:
+    assert isinstance(path_data("M0 0l3-4"), Markup)
+    with pytest.raises(ValueError, match="letters and numbers"):
+        path_data('M0 0"/><script>')
+
+
+def printed(html: bytes, at: Path) -> tuple[int, str]:
+    """The sheets of a page that is printed, and what the browser's console says."""
+    (at / "page.html").write_bytes(html)
+    done = subprocess.run(
+        [program(*BROWSERS), "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={at / 'profile'}",
+         "--enable-logging=stderr", "--v=0", "--no-pdf-header-footer", f"--print-to-pdf={at / 'page.pdf'}",
+         (at / "page.html").as_uri()], capture_output=True, text=True, check=True, timeout=120)
+    console = "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
+    return len(re.findall(rb"/Type\s*/Page\b(?!s)", (at / "page.pdf").read_bytes())), console
+
+
+PARTED = """[...document.querySelectorAll('td.k, th[scope=row]:not(.w), span.k')].filter(each => {
+  const range = document.createRange();
+  range.selectNodeContents(each);
+  return new Set([...range.getClientRects()].map(box => Math.round(box.bottom))).size > 1;
+}).map(each => each.textContent)"""
+OVERLAPPING = """[...document.querySelectorAll('svg')].flatMap(svg => {
+  const boxes = [...svg.querySelectorAll('text')].map(each => [each.textContent, each.getBoundingClientRect()]);
+  return boxes.flatMap(([a, one], i) => boxes.slice(0, i).filter(([b, other]) =>
+    Math.min(one.right, other.right) - Math.max(one.left, other.left) > 1 &&
+    Math.min(one.bottom, other.bottom) - Math.max(one.top, other.top) > 3).map(([b, _]) => a + ' over ' + b));
+})"""
+
+
+@pytest.mark.live
+@pytest.mark.full
+def test_a_page_of_parts_parted_numbers_from_their_units_and_was_as_narrow_as_a_column_of_text(tmp_path: Path) -> None:
+    results = [run(load_scene("hard_wall", duration=0.8, **knobs)) for knobs in (
+        {"law": "wave"}, {"law": "tdpa"}, {"law": "direct", "delay": 0.15}, {"law": "iss", "k_e": 4000.0})]
+    views = [told(each)._replace(name=f"{i:02}") for i, each in enumerate(results)]
+    parts = of_parts("pg", views, [(0, "switched")] * 4, {"scene": "hard_wall", "command": []})
+    (tmp_path / "page.html").write_bytes(page([parts, of_one(told(results[1]))]))
+    browser = Browser()
+    try:
+        for width in (1280, 800):
+            tab = browser.page((tmp_path / "page.html").as_uri(), width=width, height=900)
+            assert tab.evaluate(PARTED) == []
+            assert tab.evaluate(OVERLAPPING) == []
+            assert tab.evaluate("document.documentElement.scrollWidth") <= width, "the page itself does not scroll"
+            assert tab.evaluate("document.querySelector('svg').getBoundingClientRect().width") > 0.85 * width
+    finally:
+        browser.close()
+
+
+@pytest.mark.live
+@pytest.mark.full
+def test_a_run_is_printed_on_two_sheets_at_most_and_six_on_three(tmp_path: Path) -> None:
+    sheets, console = printed(page([of_one(told(run(load_scene("jittery_wan", duration=3.0))))]), tmp_path)
+    assert 1 <= sheets <= 2
+    assert console == ""
+    results = [run(load_scene("hard_wall", duration=1.0, law=law)) for law in (
+        "wave", "direct", "pp", "p_d", "iss", "tdpa")]
+    several = of_several([told(each)._replace(name=f"run-{i}") for i, each in enumerate(results)])
+    sheets, console = printed(page([several]), tmp_path)
+    assert 1 <= sheets <= 3
+    assert console == ""

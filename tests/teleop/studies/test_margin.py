@@ -1,17 +1,21 @@
-"""Margins of scenes: published cases, what is taken for what, and where there is none."""
+"""Margins of scenes and the rigid baseline: published cases, closed forms, scipy, and where there is none."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, isnan
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from channel import Delay
 from master import Grip, Rest
 from slave import HuntCrossley, Tissue, Wall
 from teleop import Direct, MassDamper, PositionPosition, Scene, load_scene, run, sweep
 from teleop.analysis.stability.assess import is_stable, stability
+from teleop.studies.baseline import baseline_contact, contact_force, rigid_baseline
 from teleop.studies.margin import delay_margin, gain_margin, margin, stable_with
 
 HANDLE = MassDamper(mass=0.04, damping=0.8)
@@ -98,3 +102,42 @@ def test_it_is_a_metric_of_runs_and_sweeps() -> None:
     assert table["delay_margin"].tolist() == [each.delay for each in own]
     result = run(load_scene("virtual_wall", duration=0.1))
     assert gain_margin(result) == margin(load_scene("virtual_wall")).gain > 1.0
+
+
+def test_a_swing_against_tissue_is_that_of_one_body_of_all_masses() -> None:
+    scene = load_scene("soft_tissue", duration=2.0)
+    mass, damping = 0.4 + 0.1 + 0.5, 0.5 + 1.0
+    w = np.pi
+
+    def slope(t: float, y: list[float]) -> list[float]:
+        hand = 200.0 * (0.05 * np.sin(w * t) - y[0]) + 5.0 * (0.05 * w * np.cos(w * t) - y[1])
+        return [y[1], (hand - 200.0 * y[0] - (2.0 + damping) * y[1]) / mass]
+
+    t = np.arange(2000) * 1e-3
+    exact = solve_ivp(slope, (0.0, 2.0), [0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-12).y
+    expected = contact_force(200.0 * exact[0] + 2.0 * exact[1])
+    contact = baseline_contact(scene)
+    assert contact.late == pytest.approx(expected.late, rel=2e-3)  # the hold of one tick
+    assert contact.peak == pytest.approx(expected.peak, rel=2e-3)
+
+
+def test_the_rod_presses_as_two_springs_in_series_and_in_free_space_moves_as_the_hand_and_presses_nothing() -> None:
+    """A hand of 200 N/m that reaches 0.03 m beyond the surface: F = k_h k_e/(k_h + k_e) 0.03."""
+    for k_e in (100.0, 2000.0, 2e4):
+        scene = load_scene("hard_wall", k_e=k_e)
+        at_rest = 200.0 * k_e / (200.0 + k_e) * 0.03
+        assert rigid_baseline(scene).steady == pytest.approx(at_rest, rel=1e-6), k_e
+        assert baseline_contact(replace(scene, duration=6.0)).late == pytest.approx(at_rest, rel=1e-6), k_e
+    baseline = rigid_baseline(load_scene("free_motion", amplitude=0.04, frequency=0.05, duration=20.0))
+    assert baseline.moved == pytest.approx(0.04 / 2.0**0.5, rel=0.01)  # slow: the grip's spring takes it along
+    assert baseline.pressed == 0.0
+    assert baseline.steady is None
+    assert baseline.scale == pytest.approx(200.0 * baseline.moved)
+    assert contact_force(np.array([[3.0, 4.0], [0.0, 5.0]])) == (5.0, 5.0), "of several axes the magnitude"
+    assert baseline_contact(load_scene("free_motion", duration=0.1)) is None
+
+
+def test_a_hand_that_keeps_moving_has_no_steady_force() -> None:
+    baseline = rigid_baseline(load_scene("canonical", duration=2.0))
+    assert baseline.steady is None
+    assert baseline.scale == baseline.pressed > 0.0

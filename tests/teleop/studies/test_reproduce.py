@@ -84,13 +84,12 @@ class TestTheCommand:
 
     def test_counted_fitted_numbers_as_reproduced_and_did_not_say_that_a_tolerance_was_chosen_here(
             self, typed: Typed) -> None:
+        """It says why a number differs and why one was not run, too."""
         lines = typed("reproduce", "hannaford_ryu").out.splitlines()
         assert lines[-1] == (
             "7 numbers printed in a paper: 5 reproduced, 1 different, 1 fitted, which is no reproduction")
         row = next(line for line in lines if line.startswith("90 kN/m at 1 kHz, no controller"))
         assert row.endswith("swing below 0.02 mm (chosen here)")
-
-    def test_says_why_a_number_differs_and_why_one_was_not_run(self, typed: Typed) -> None:
         out = typed("reproduce", "choi_tan").out
         assert "an increase of 178 %" in out
         assert "judged by people" in out
@@ -106,9 +105,7 @@ class TestTheCommand:
         page = (tmp_path / "kept" / "page.md").read_text()
         for words in ("## diolaiti", "IEEE Trans. Robotics 22(2), 2006", "| 1.5 | 1.500000 |"):
             assert words in page
-
-    def test_without_a_name_has_them_all(self) -> None:
-        assert [find_publication(name).name for name in PUBLICATIONS] == list(PUBLICATIONS)
+        assert [find_publication(name).name for name in PUBLICATIONS] == list(PUBLICATIONS), "without a name all"
         with pytest.raises(Refused):
             find_publication("publication")
 
