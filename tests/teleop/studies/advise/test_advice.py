@@ -23,8 +23,7 @@ from teleop.studies.tune.search import LawSearch, SearchJob
 from teleop.studies.tune.strategy import value_at
 from teleop.sweeps.grid import Range, sampled
 from teleop.terminal.table import si
-from tests.live.killing import free_port
-from tests.waiting import until
+from tests.waiting import free_port, until
 
 HELD_OUT = ("delay(0.025) | gamma(0.012, 2.0) | gilbert_elliott(0.01, 0.3)", "delay(0.15) | uniform(0.01)",
             "delay(0.02) | bernoulli(0.01) ; delay(0.09) | uniform(0.06) | bernoulli(0.05)")
