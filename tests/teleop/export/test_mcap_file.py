@@ -64,7 +64,7 @@ def types_of(schema: dict[str, Any]) -> list[Any]:
     return [schema.get("type"), *[one for inner in schema.get("properties", {}).values() for one in types_of(inner)]]
 
 
-def test_every_message_fits_the_schema_of_its_topic_whose_fields_have_one_type_for_foxglove_takes_no_choice(
+def test_every_message_fits_the_schema_of_its_topic_whose_fields_have_one_type_for_foxglove_and_their_units(
         stored: Stored) -> None:
     jsonschema = pytest.importorskip("jsonschema", reason="needs the extra `test`")
     for scene in ("canonical", "recorded_reach"):
@@ -76,10 +76,6 @@ def test_every_message_fits_the_schema_of_its_topic_whose_fields_have_one_type_f
             for _, message in [*inner[:9], *inner[9::10]]:
                 validator.validate(message)
             assert validator.is_valid({**inner[0][1], "another": 1}) == (topic == "/log")
-
-
-def test_units_are_in_the_descriptions(stored: Stored) -> None:
-    _, schemas = read(written(stored("recorded_reach")))
     own = schemas["/slave"]["properties"]
     assert own["v_s"]["properties"]["z"]["description"].startswith("along z: velocity of the slave (m/s)")
     assert own["f_env"]["description"].startswith("force of the slave on its environment (N)")
@@ -103,8 +99,10 @@ def test_a_number_that_is_not_finite_is_left_out(tmp_path: Path, stored: Stored)
     assert "left out where it is not a finite number" in schemas["/master"]["properties"]["f_m"]["description"]
 
 
-def test_events_are_what_foxglove_calls_a_log(demo: Path) -> None:
-    messages, schemas = read(written(demo))
+def test_events_are_what_foxglove_calls_a_log_and_messages_are_counted_and_lie_in_order_of_time(demo: Path) -> None:
+    file = BytesIO()
+    counts = write_mcap(file, read_parts(demo, trust=False), "a test")
+    messages, schemas = read(file)
     assert schemas["/log"]["name"] == "foxglove.Log"
     told = {(message["name"], message["message"]): (ns, message["level"]) for ns, message in messages["/log"]}
     assert told["master", "safe: silence: no fresh packet for 0.8 s"] == (120_000_000, LEVELS["warning"])
@@ -116,6 +114,11 @@ def test_events_are_what_foxglove_calls_a_log(demo: Path) -> None:
     assert last[1]["level"] == LEVELS["warning"]
     for ns, message in messages["/log"]:
         assert message["timestamp"] == {"sec": ns // 10**9, "nsec": ns % 10**9}
+    assert counts == {topic: len(inner) for topic, inner in messages.items()}
+    assert counts["/master"] == 390
+    file.seek(0)
+    times = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
+    assert times == sorted(times)
 
 
 def test_the_parts_of_a_turned_run_lie_on_one_axis_of_time(turned_run: Path) -> None:
@@ -147,14 +150,3 @@ def test_the_summary_of_the_run_is_in_the_file(stored: Stored, turned_run: Path)
     file.seek(0)
     assert {one.name for one in make_reader(file).iter_attachments()} == {
         f"summary-{number:02d}.json" for number in (1, 2, 3)}
-
-
-def test_how_many_messages_a_topic_has_is_told_and_they_lie_in_order_of_time(demo: Path) -> None:
-    file = BytesIO()
-    counts = write_mcap(file, read_parts(demo, trust=False), "a test")
-    messages, _ = read(file)
-    assert counts == {topic: len(inner) for topic, inner in messages.items()}
-    assert counts["/master"] == 390
-    file.seek(0)
-    times = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
-    assert times == sorted(times)

@@ -17,7 +17,6 @@ from teleop.people.contrasts import paired_power
 from teleop.people.journal import NAME, read_journal
 from teleop.people.plan_file import read_plan
 from teleop.people.schedule import Trial
-from teleop.people.session import TrialOutcome, check_modality
 from teleop.people.simulated import Person, simulate_session
 from teleop.people.study import COLUMNS, KEY, Study, create_study, intervals, open_study
 from teleop.scene.loading import load_scene
@@ -116,7 +115,7 @@ def test_the_table_has_a_row_for_each_trial_and_the_description_each_column(here
     assert len(rows) == 3 * 28
     assert {(row["participant"], row["trial"]) for row in rows} == {(str(p), str(t)) for p in (1, 2, 3)
                                                                   for t in range(1, 29)}
-    assert {row["condition"] for row in rows} == {"A", "B"}
+    assert ({row["condition"] for row in rows}, {row["modality"] for row in rows}) == ({"A", "B"}, {"simulated"})
     assert all(row["correct"] == str(int((row["answer"] == "2") == ((row["second"] == "1") == (
         float(row["level"]) > float(row["standard"]))))) for row in rows)
     description = json.loads((here / "s" / "dataset_description.json").read_text())
@@ -231,19 +230,6 @@ def test_a_trials_intervals_have_the_conditions_knobs_and_the_walls_in_order(her
         walls = [each.pop("k_e") for each in got]
         assert walls == ([500.0, 700.0] if second else [700.0, 500.0])
         assert got == [{"delay": 0.02, "duration": 4.0, "law": "pp", "law.K": 1000.0, "law.B": 10.0}] * 2
-
-
-def test_a_pointer_is_refused_for_what_it_cannot_show() -> None:
-    plan = plan_of(TEXT)
-    with pytest.raises(Refused, match="a pointer displays no force"):
-        check_modality(plan, plan.analysis.primary, ["visual"])
-    check_modality(plan, plan.analysis.primary, ["haptic", None])
-    delays = plan_of(TEXT.replace('standard = 500.0\nlevels = [350.0, 700.0, 1000.0]',
-                                  'knob = "delay"\nstandard = 0.2\nlevels = [0.25, 0.4]'))
-    with pytest.raises(Refused, match=r"58 ms after the event, 37 to 80, so 0.05 s of delay cannot be judged"):
-        check_modality(delays, delays.analysis.primary, ["visual"])
-    check_modality(plan_of(REACH), plan_of(REACH).analysis.primary, ["visual"])
-    assert TrialOutcome().modality == "simulated"
 
 
 def test_a_trials_hand_runs_again_under_another_law_between_the_trials_own_walls(here: Path, capsys: Capture) -> None:

@@ -281,11 +281,9 @@ class TestDevice:
                               ("fixed:0.1", False)):
             assert linear_parts(load_scene("soft_tissue", playout=playout))[1] == [f"playout {playout}"] * lags
 
-    def test_an_encoder_and_a_cap_are_left_out(self) -> None:
+    def test_an_encoder_and_a_cap_are_left_out_and_a_law_without_a_limit_has_the_sampled_matrix_alone(self) -> None:
         rough = handles(Direct(), cap=Cap(f_max=1.0), device_m=Device(encoder=Encoder(step=1e-4)))
         assert sampled_two_port(rough, self.f).h == pytest.approx(sampled_two_port(handles(Direct()), self.f).h)
-
-    def test_a_law_without_a_limit_has_the_sampled_matrix_alone(self) -> None:
         got = two_ports(handles(Direct(), device_m=Device(velocity=BackwardDifference())))
         assert got.continuous is None
         assert got.sampled is not None
@@ -295,17 +293,13 @@ class TestDevice:
 class TestTouched:
     s = 2j * pi * np.array([0.5, 20.0])
 
-    def test_a_wall_in_contact_is_a_tissue(self) -> None:
+    def test_a_wall_in_contact_is_a_tissue_a_solid_relaxes_and_what_has_none_has_none(self) -> None:
         for environment in (Tissue(k=300.0, d=2.0, at=0.3), Wall(k=300.0, d=2.0, at=0.01),
                             Wall(k=300.0, d=2.0, at=-0.2, side=-1.0)):
             got = touched(handles(Direct(), environment=environment), self.s)
             assert got == pytest.approx(300.0 / self.s + 2.0, rel=1e-6), environment
-
-    def test_a_solid_that_relaxes(self) -> None:
         solid = StandardLinearSolid(k=100.0, k1=200.0, tau=0.1)
         got = touched(handles(Direct(), environment=solid), self.s)
         assert got == pytest.approx(100.0 / self.s + 20.0 / (1.0 + 0.1 * self.s))
-
-    def test_nothing_and_what_has_none(self) -> None:
         assert touched(handles(Direct(), environment=None), self.s) == pytest.approx([0.0, 0.0])
         assert touched(handles(Direct(), environment=HuntCrossley(k=1e3)), self.s) is None

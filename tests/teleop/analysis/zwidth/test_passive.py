@@ -106,13 +106,6 @@ class TestFilterAndSlowForce:
     def test_a_spring_renewed_at_every_fifth_tick_is_one_of_a_fifth_of_the_rate(self) -> None:
         assert passive_region(handle(every=5)).stiffest == pytest.approx(2.0 * 0.8 / 5e-3, rel=1e-4)
 
-    def test_a_velocity_without_a_transfer_function_has_no_region(self) -> None:
-        for velocity, word in ((Levant(L=10.0), "Levant"), (None, "velocity itself")):
-            region = passive_region(handle(velocity=velocity))
-            assert region.corners is None
-            assert region.stiffest is None
-            assert word in region.sentence
-
 
 class TestShunt:
     def test_the_damping_is_the_harmonic_mean_over_the_frequencies_that_a_sample_mixes(self) -> None:
@@ -135,11 +128,6 @@ class TestShunt:
     def test_a_slow_hand_does_not_feel_it_so_it_helps_no_spring_alone(self) -> None:
         region = passive_region(replace(handle(), electrical=ElectricalDamping(b=0.8, cutoff=10.0)))
         assert stiffest_alone(region) == pytest.approx(1600.0, rel=1e-6)
-
-    def test_without_other_damping_nothing_is_claimed(self) -> None:
-        region = passive_region(replace(handle(b=0.0), electrical=ElectricalDamping(b=0.8, cutoff=10.0)))
-        assert region.corners is None
-        assert "slow hand" in region.sentence
 
 
 class TestEncoder:
@@ -170,23 +158,22 @@ class TestEncoder:
                       for v in (BackwardDifference(), LowPass(cutoff=30.0)))
         assert slow / fast == pytest.approx(-1.0 / expm1(-2.0 * pi * 30.0 * 1e-3))
 
-    def test_without_friction_nothing_is_passive_and_that_is_said(self) -> None:
-        region = passive_region(handle(encoder=Encoder(step=1e-9)))
-        assert region.corners == ()
-        assert region.stiffest == region.most_damped == 0.0
-        assert "without Coulomb friction" in region.sentence
-
 
 class TestOthers:
-    def test_a_device_without_damping_keeps_nothing_passive(self) -> None:
-        region = passive_region(handle(b=0.0))
-        assert region.corners == ()
-        assert "--set b=" in region.sentence
-
-    def test_a_passivity_controller_is_not_claimed_for(self) -> None:
-        region = passive_region(replace(handle(), passivity=PassivityController(cap=0.8)))
-        assert region.corners is None
-        assert "measured" in region.sentence
+    def test_what_keeps_nothing_passive_or_is_not_claimed_for_says_why(self) -> None:
+        shunt = ElectricalDamping(b=0.8, cutoff=10.0)
+        squared = law_of(OneSpring, force=lambda law, s, at: (law.K * law.K * 1e-3 * at.x + law.B * at.v, s))
+        for scene, corners, words in (
+                (handle(velocity=Levant(L=10.0)), None, "Levant"), (handle(velocity=None), None, "velocity itself"),
+                (replace(handle(b=0.0), electrical=shunt), None, "slow hand"),
+                (handle(encoder=Encoder(step=1e-9)), (), "without Coulomb friction"), (handle(b=0.0), (), "--set b="),
+                (replace(handle(), passivity=PassivityController(cap=0.8)), None, "measured"),
+                (handle(law=VirtualCoupling(theta_x=0.5)), None, ""),
+                (handle(law=squared(K=800.0)), None, "not linear in K and B")):
+            region = passive_region(scene)
+            assert region.corners == corners, words
+            assert region.stiffest == region.most_damped == (None if corners is None else 0.0)
+            assert words in region.sentence
 
     def test_behind_a_coupling_without_delay_it_is_the_same_triangle(self) -> None:
         shape = corners(handle(law=VirtualCoupling()))
@@ -200,15 +187,6 @@ class TestOthers:
         assert free[0, 0] < 0.6 * rigid[0, 0]
         needed = [coupling.needed_damping(spring_damper(K, B, 1e-3), 0.0, 1e-3, d=2).damping for K, B in free[::9]]
         assert needed == pytest.approx([0.8] * len(needed), rel=1e-6)
-
-    def test_an_integrator_that_is_not_passive_has_no_region(self) -> None:
-        assert passive_region(handle(law=VirtualCoupling(theta_x=0.5))).corners is None
-
-    def test_a_law_that_is_not_linear_in_its_stiffness_has_no_region(self) -> None:
-        squared = law_of(OneSpring, force=lambda law, s, at: (law.K * law.K * 1e-3 * at.x + law.B * at.v, s))
-        region = passive_region(handle(law=squared(K=800.0)))
-        assert region.corners is None
-        assert "not linear in K and B" in region.sentence
 
 
 def found(scene: Scene) -> Curves:

@@ -184,22 +184,18 @@ class TestATick:
             want = linear_step(*map(exact, (m, c, k, 1e-3, -0.5, f)), mpmath.mpf("0.001"))
         assert body.move(1e-3, -0.5, f)[:2] == tuple(map(float, want))
 
-    def test_bonded_it_is_that_of_dop853(self) -> None:
+    def test_bonded_it_is_that_of_dop853_and_what_is_not_finite_stays_so(self) -> None:
         body = Body(Motion(Equation(*map(Decimal, (0.5, 4.0, 2000.0))), Decimal(1)), 2_000_000)
         want = settle((BOND, 0.5, 1.0, 2000.0, 3.0, 1.5, 0.0, 0.0), 0.01, 0.3, 4.0, 0.0, 2e-3, "DOP853")
         assert body.move(0.01, 0.3, 4.0)[:2] == pytest.approx(want[:2], rel=1e-13)
-
-    def test_what_is_not_finite_stays_so(self) -> None:
         body = Body(Motion(Equation(Decimal(1), Decimal(0)), Decimal(0)), 1_000_000)
         assert np.isnan(body.move(float("inf"), 0.0, 0.0)).all()
+        assert isnan(settle((NOTHING, M, B, 0.0, 0.0, 1.5, 0.0, 0.0), float("inf"), 0.0, 0.0, 0.0, 1e-3, "DOP853").p)
 
 
 both = pytest.mark.parametrize("solver", ["DOP853", "Radau"])
 M, B = 0.5, 1.0
 BODY = MassDamper(mass=M, damping=B)
-
-
-# Where the exact steps apply
 
 
 @both
@@ -221,9 +217,6 @@ def test_bonded_it_is_the_exact_step(solver: str) -> None:
     assert got[:2] == pytest.approx(exact.move(exact.c, 0.01, 0.3, 4.0)[:2], rel=1e-13)
 
 
-# Closed forms
-
-
 @both
 @pytest.mark.parametrize("n", [1.5, *(pytest.param(n, marks=pytest.mark.full) for n in (1.0, 2.0))])
 def test_a_hertz_impact_takes_its_time_and_comes_back_as_fast(solver: str, n: float) -> None:
@@ -241,6 +234,8 @@ def test_a_hertz_impact_takes_its_time_and_comes_back_as_fast(solver: str, n: fl
 @both
 @pytest.mark.parametrize(("n", "lam"), [(2.2, 0.2), *(pytest.param(*each, marks=pytest.mark.full)
                                                       for each in ((1.5, 1.0), (1.0, 3.0)))])
+
+
 def test_a_hunt_crossley_impact_has_its_restitution(solver: str, n: float, lam: float) -> None:
     """`m u' = -k p^n (1 + lam u)` by u/(1 + lam u): `lam u - log(1 + lam u)` is the same on the way in and out."""
     got = settle((HUNT_CROSSLEY, M, 0.0, 1e6, 0.0, n, lam, 0.0), -1e-4, 0.4, 0.0, 0.0, 0.2, solver)
@@ -280,9 +275,6 @@ def test_a_bonded_body_held_on_moving_ground_lets_go_where_the_spring_has_wound_
     assert got.changes == 1
 
 
-# Itself, by the other method
-
-
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(1, 6))])
 def test_radau_and_dop853_agree_whatever_changes(seed: int) -> None:
     dice = random.Random(seed)
@@ -314,7 +306,3 @@ def test_the_stacks_own_integration_comes_to_it_as_its_tolerance_falls() -> None
         off.append(abs(x - want.p))
         assert off[-1] < 2.0 * plant.report(z)["error_estimate_max"] + 0.1 * tol
     assert off[1] < 0.1 * off[0]
-
-
-def test_what_is_not_finite_stays_so() -> None:
-    assert isnan(settle((NOTHING, M, B, 0.0, 0.0, 1.5, 0.0, 0.0), float("inf"), 0.0, 0.0, 0.0, 1e-3, "DOP853").p)
