@@ -1,7 +1,9 @@
-"""Figures of a run, on traces made by hand whose answers can be seen."""
+"""Figures and traces of a run: on traces made by hand whose answers can be seen, and ledgers summed anew."""
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf, nan, sqrt
@@ -10,7 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop import Direct, MassDamper, Scene, load_scene, run
+import teleop.simulation.trace
+from channel import Bernoulli, Delay, UniformJitter
+from master.hand import Grip, Sine
+from slave.wall import Wall
+from teleop import PFRA, Direct, Hold, MassDamper, Scene, Wave, Zero, load_scene, run
 from teleop.scene.playout import integrates
 from teleop.simulation.metrics import (
     DEADBAND,
@@ -33,6 +39,7 @@ from teleop.simulation.metrics import (
 )
 from teleop.simulation.prepared import prepare
 from teleop.simulation.structure import structure_of
+from teleop.simulation.trace import Columns, EndRecord, assemble, end_columns
 
 SCENE = Scene(law=Direct(), master=MassDamper(mass=1.0), slave=MassDamper(mass=1.0), dt=1e-3, duration=1.0)
 N = 100
@@ -235,3 +242,233 @@ def test_a_run_has_the_figures_that_the_list_says_it_has() -> None:
     for scene in (*made, replace(made[0], hand=None)):
         assert set(run(scene).metrics) - by_its_motion == {
             name for name, metric in METRICS.items() if name not in by_its_motion and NEEDS[metric.needs](scene)}, scene
+
+
+# From rows to arrays
+
+SINE = Sine(amplitude=0.05, frequency=1.0)
+PRESSED = Scene(
+    law=Wave(), master=MassDamper(mass=0.1, damping=0.5), slave=MassDamper(mass=0.5, damping=1.0), link=Delay(0.01),
+    hand=Grip(mass=0.4, k=200.0, d=5.0, reference=SINE), environment=Wall(k=5e3, d=5.0, at=0.03), duration=0.5,
+)
+PREPARED = prepare(PRESSED)
+
+
+def test_a_trace_has_t_first_and_the_symbols_of_what_the_scene_has() -> None:
+    assert list(run(PRESSED).trace) == [
+        "t", "x_m", "v_m", "f_m", "seq_m", "f_h", "x_s", "v_s", "f_s", "seq_s", "f_env",
+    ]
+    assert list(run(replace(PRESSED, link=None, law=PFRA())).trace) == [
+        "t", "x_m", "v_m", "f_m", "f_h_hat", "f_h", "x_s", "v_s", "f_env", "f_s",
+    ]
+
+
+def test_t_is_ticks_times_dt_never_added_up() -> None:
+    trace = run(replace(PRESSED, dt=0.0007, duration=0.7)).trace
+    assert np.array_equal(trace["t"], np.arange(1000) * 700_000 / 1e9)
+
+
+def test_columns_of_a_trace_lie_together_in_memory() -> None:
+    assert all(column.flags.c_contiguous for column in run(replace(PRESSED, axes=3, duration=0.02)).trace.values())
+
+
+def test_what_is_sensed_in_the_run_and_what_is_worked_out_after_it_are_the_same_forces() -> None:
+    """Direct reads f_env, and PFRA with a sensor f_h; with neither, they come from the trace."""
+    law = PFRA(alpha=1.0, kf=0.2, K=200.0, B=5.0)
+    sensed = run(replace(PRESSED, law=law, observer=None)).trace
+    worked_out = run(replace(PRESSED, law=Direct(kf=0.2, K=200.0, B=5.0))).trace
+    assert np.abs(sensed["f_h"]).max() > 0.1
+    assert np.array_equal(sensed["f_h"], worked_out["f_h"])
+    waves = run(PRESSED).trace
+    wall = PRESSED.environments[0].plant(PRESSED.slave, 1e-3)
+    assert np.abs(waves["f_env"]).max() > 0.1
+    met = [wall.force(wall.c, x, v) for x, v in zip(waves["x_s"], waves["v_s"], strict=True)]
+    assert waves["f_env"].tolist() == met
+
+
+def test_the_hands_force_is_what_moves_the_master_alone() -> None:
+    """M_m a + b_m v = f_h - f_m, with a on the left of the tick from the body of both, 0.5 kg."""
+    trace = run(PRESSED).trace
+    x, v, f_h = trace["x_m"], trace["v_m"], trace["f_h"]
+    held = np.concatenate([[0.0], trace["f_m"][:-1]])
+    r = 0.05 * np.sin(2.0 * np.pi * trace["t"])
+    slope = np.concatenate([[0.0], np.diff(r) / 1e-3])
+    a = (200.0 * (r - x) + 5.0 * (slope - v) - 0.5 * v - held) / 0.5
+    assert f_h == pytest.approx(0.1 * a + 0.5 * v + held, abs=1e-12)
+
+
+def test_nobody_holds_a_master_with_no_force() -> None:
+    trace = run(replace(PRESSED, hand=None, start_m=0.01)).trace
+    assert not trace["f_h"].any()
+
+
+def rows(ticks: range) -> list[float]:
+    """Rows x, v, f of one end, x being the tick."""
+    return [value for k in ticks for value in (float(k), 0.5, 0.25)]
+
+
+def test_two_ends_are_joined_at_the_ticks_that_both_ran() -> None:
+    skipped = [0, 1, 2, 5, 6, 9]
+    records = {
+        "m": EndRecord(range(8), rows(range(8)), [-1, 0, 1, 2, 3, 4, 5, 6]),
+        "s": EndRecord(skipped, [v for k in skipped for v in (float(-k), 0.0, 0.0)], [-1, -1, 0, 3, 4, 7]),
+    }
+    trace = assemble(PREPARED, records)
+    assert trace["t"].tolist() == [0.0, 0.001, 0.002, 0.005, 0.006]
+    assert trace["x_m"].tolist() == [0.0, 1.0, 2.0, 5.0, 6.0]
+    assert trace["x_s"].tolist() == [0.0, -1.0, -2.0, -5.0, -6.0]
+    assert trace["seq_m"].tolist() == [-1, 0, 1, 4, 5]
+    assert trace["seq_s"].tolist() == [-1, -1, 0, 3, 4]
+
+
+def test_ends_that_share_no_tick_leave_empty_columns() -> None:
+    records = {"m": EndRecord(range(3), rows(range(3)), [-1] * 3), "s": EndRecord([], [], [])}
+    assert all(len(column) == 0 for column in assemble(PREPARED, records).values())
+
+
+def test_one_end_alone_has_its_own_columns() -> None:
+    got = end_columns(PREPARED, "s", EndRecord(range(3), rows(range(3)), [-1, 0, 1]))
+    assert set(got) == {"x_s", "v_s", "f_s", "seq_s", "f_env"}
+    assert got["x_s"].tolist() == [0.0, 1.0, 2.0]
+    assert got["seq_s"].dtype == np.int64
+
+
+def test_a_trace_is_the_same_to_the_bit_however_many_rows_are_worked_on_at_a_time(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = replace(PRESSED, energy=True, axes=3, environment=(Wall(k=5e3, d=5.0, at=0.03), None, None), duration=0.02)
+    whole = run(scene)
+    for size in (1, 7, 20, 1000):
+        monkeypatch.setattr(teleop.simulation.trace, "BLOCK", size)
+        parts = run(scene)
+        assert whole.metrics == parts.metrics, size
+        assert {name: column.tobytes() for name, column in whole.trace.items()} == {
+            name: column.tobytes() for name, column in parts.trace.items()}, size
+
+
+def test_the_rows_of_a_run_that_is_over_did_not_stay_in_memory_until_a_garbage_collection() -> None:
+    class Zeros:
+        def table(self, start: int, stop: int) -> np.ndarray:
+            return np.zeros((stop - start, 20))
+
+    def read(rows: Zeros) -> float:
+        records = {e: EndRecord(range(5), rows, None) for e in ("m", "s")}
+        return float(assemble(prepare(replace(PRESSED, energy=True)), records)["E_link"].sum())
+
+    rows = Zeros()
+    gone = weakref.ref(rows)
+    gc.disable()
+    try:
+        assert read(rows) == 0.0
+        del rows
+        assert gone() is None
+    finally:
+        gc.enable()
+
+
+def test_a_column_is_made_when_it_is_asked_for_and_not_kept() -> None:
+    asked: list[str] = []
+    got = Columns({"x_m": lambda: (asked.append("x_m"), np.zeros(3))[1], "v_m": lambda: np.ones(3)})
+    assert list(got) == ["x_m", "v_m"]
+    assert "x_m" in got
+    assert "t" not in got
+    assert got.keys() >= {"v_m"}
+    assert asked == []
+    assert len(got["x_m"]) == len(got["x_m"])
+    assert asked == ["x_m", "x_m"]
+
+
+# The two ledgers, E_link and E_port, against their definitions summed anew from the trace
+
+DT, B = 1e-3, 2.0
+LINKS = {
+    "none": None, "zero": Delay(0.0), "50 ms": Delay(0.05),
+    "rough": Delay(0.01) | UniformJitter(0.02) | Bernoulli(0.2),
+}
+
+
+def make(**other: Any) -> Scene:
+    """A hand that swings a master over waves, and a slave that strikes a wall."""
+    return Scene(**{
+        "law": Wave(b=B), "master": MassDamper(mass=0.1, damping=0.5), "slave": MassDamper(mass=0.5, damping=1.0),
+        "hand": Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=0.05, frequency=1.0)),
+        "environment": Wall(k=5e3, d=5.0, at=0.02), "energy": True, "duration": 1.0, "playout": Zero(), **other,
+    })
+
+
+def waves(trace: dict[str, Any]) -> tuple[np.ndarray, ...]:
+    """u_m, w_m, u_s, w_s of every tick: the master's from f_m and v_m, the slave's by who played what."""
+    root = sqrt(2.0 * B)
+    u_m = (B * trace["v_m"] + trace["f_m"]) / root
+    w_m = (B * trace["v_m"] - trace["f_m"]) / root
+    fresh = trace["seq_s"] >= 0
+    u_s = np.where(fresh if u_m.ndim == 1 else fresh[:, None], u_m[trace["seq_s"]], 0.0)
+    w_s = u_s - sqrt(2.0 / B) * trace["f_s"]
+    return u_m, w_m, u_s, w_s
+
+
+def summed(power: np.ndarray) -> np.ndarray:
+    """Over the axes, and over the ticks so far."""
+    return np.cumsum(0.5 * DT * (power if power.ndim == 1 else power.sum(axis=1)))
+
+
+@pytest.mark.parametrize("axes", [1, 3])
+@pytest.mark.parametrize("link", ["zero", "50 ms", "rough"])
+def test_e_link_is_the_sum_of_the_waves_that_went_in_less_those_that_came_out(link: str, axes: int) -> None:
+    hand = Grip(mass=0.4, k=200.0, d=5.0, reference=Sine(amplitude=(0.05, 0.02, -0.03)[:axes], frequency=1.0))
+    trace = dict(run(make(link=LINKS[link], axes=axes, hand=hand), seed=2).trace)
+    u_m, w_m, u_s, w_s = waves(trace)
+    assert trace["E_link"] == pytest.approx(summed(u_m**2 + w_s**2 - u_s**2 - w_m**2), abs=1e-13)
+    for name, wave in (("E_in_fwd", u_m), ("E_in_bwd", w_s), ("E_out_fwd", u_s), ("E_out_bwd", w_m)):
+        assert trace[name] == pytest.approx(summed(wave**2), abs=1e-13)
+    assert trace["E_link"].max() > 1e-5
+
+
+def test_over_a_constant_delay_e_link_is_what_is_under_way() -> None:
+    """Stored is each wave that was sent within the last `delay` ticks, this one's included."""
+    for delay in (1, 7, 400):
+        trace = dict(run(make(link=Delay(delay * DT))).trace)
+        u_m, _, _, w_s = waves(trace)
+        sent = np.concatenate([np.zeros(delay), summed(u_m**2 + w_s**2)])
+        assert trace["E_link"] == pytest.approx(sent[delay:] - sent[:-delay], abs=1e-13), delay
+        if delay == 1:  # as without a link
+            for name, column in run(make(link=None)).trace.items():
+                assert np.array_equal(column, trace[name]), name
+
+
+def test_e_port_pairs_each_held_force_with_the_motion_it_was_held_over() -> None:
+    for law, axes, link in ((Wave(b=B), 1, "rough"), (PFRA(K=200.0, B=5.0), 3, "50 ms"),
+                            (Direct(K=200.0, B=5.0, kf=0.3), 3, "rough"), (Wave(b=B), 3, "none")):
+        trace = run(make(law=law, link=LINKS[link], axes=axes), seed=2).trace
+        f_m, f_s, x_m, x_s = (trace[name].reshape(-1, axes) for name in ("f_m", "f_s", "x_m", "x_s"))
+        steps = (f_m[:-1] * np.diff(x_m, axis=0) - f_s[:-1] * np.diff(x_s, axis=0)).sum(axis=1)
+        assert trace["E_port"] == pytest.approx(np.concatenate([[0.0], np.cumsum(steps)]), abs=1e-12), (law, link)
+        assert np.abs(trace["E_port"]).max() > 1e-4, (law, link)
+
+
+def test_the_hold_leaks_at_the_port_beside_a_perfect_link() -> None:
+    """E_port may fall below zero where E_link does not: it contains the hold's own leak."""
+    scene = make(link=Delay(0.0), law=Wave(b=20.0, K=2e4, B=5.0), slave=MassDamper(mass=0.05), duration=2.0)
+    got = run(scene).metrics
+    assert got["E_link_min"] >= 0.0
+    assert got["E_port_min"] < -1e-4
+
+
+def test_held_waves_are_counted_as_often_as_they_are_used() -> None:
+    trace = dict(run(make(link=LINKS["rough"], playout=Hold()), seed=2).trace)
+    root = sqrt(2.0 * B)
+    w_m = (B * trace["v_m"] - trace["f_m"]) / root
+    assert (trace["seq_m"] < 0).mean() > 0.3
+    assert trace["E_out_bwd"] == pytest.approx(summed(w_m**2), abs=1e-13)
+
+
+def test_a_scene_that_does_not_ask_has_no_ledger() -> None:
+    asked, silent = run(make(link=LINKS["rough"]), seed=1), run(make(link=LINKS["rough"], energy=False), seed=1)
+    assert not [name for name in silent.trace if name.startswith("E_")]
+    assert not [name for name in silent.metrics if name.startswith("E_")]
+    assert all(np.array_equal(asked.trace[name], silent.trace[name]) for name in silent.trace)
+
+
+def test_a_law_without_waves_has_the_ports_ledger_alone() -> None:
+    ledgers = {name for name in run(make(law=Direct(), duration=0.05)).trace if name.startswith("E_")}
+    assert ledgers == {"E_port", "E_port_m", "E_port_s"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -224,8 +223,7 @@ class TestASweep:
         def longest(result: Any) -> float:
             return float(result.ticks)
 
-        named: Callable[..., Any] = longest
-        table = sweep(rendered, {"K": [500.0, 8000.0]}, metrics=["swing_end", named])
-        plain = sweep(rendered, {"K": [500.0, 8000.0]}, metrics=["swing_end"], engine="plain")
-        assert table["status"].tolist() == plain["status"].tolist()
-        assert table["swing_end"].tolist() == plain["swing_end"].tolist()
+        own: list[Any] = [longest]
+        table, plain = [sweep(rendered, {"K": [500.0, 8000.0]}, metrics=["swing_end", *more]) for more in (own, [])]
+        assert (table["status"].tolist(), table["swing_end"].tolist()) == (
+            plain["status"].tolist(), plain["swing_end"].tolist())

@@ -28,7 +28,7 @@ from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators.methods import METHODS
 from teleop.simulation.integrators.parts import has_closed_form
 from tests.teleop.analysis.precision.test_measure import entry, quick, same, strike  # noqa: F401 - a fixture
-from tests.teleop.simulation.integrators.test_nonlinear import HC, RUBBING, SCENES
+from tests.teleop.simulation.integrators.test_methods import HC, RUBBING, SCENES
 
 Typed = Callable[..., Any]
 
