@@ -43,18 +43,13 @@ def scene(*, k_e: float = 300.0, duration: float = 0.2):
 """
 
 
-def rows(table: Any) -> list[dict[str, Any]]:
-    return list(table)
-
-
 @cache
 def near_rows() -> list[dict[str, Any]]:
     """The rows of `LONG` by threads."""
-    return rows(sweep("soft_tissue", LONG, seeds=60, fixed=FIXED))
+    return [*sweep("soft_tissue", LONG, seeds=60, fixed=FIXED)]
 
 
 def lines(folder: Path) -> list[int]:
-    """The numbers of the rows that a sweep's folder holds, as they stand there."""
     return [json.loads(line)["row"] for line in (folder / "rows.jsonl").read_text().splitlines()]
 
 
@@ -79,7 +74,6 @@ class Rig:
         return started
 
     def workers(self, number: int, **env: str) -> list[subprocess.Popen[bytes]]:
-        """Start so many more."""
         words = self.address, "--no-nanny", "--nthreads", "1", "--local-directory", str(self.folder)
         wanted = len(self.client.nthreads()) + number
         started = [self.start("worker", *words, **env) for _ in range(number)]
@@ -93,7 +87,6 @@ class Rig:
         until(lambda: not self.client.nthreads())
 
     def tasks(self) -> int:
-        """How many chunks the scheduler knows of."""
         return int(self.client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)))
 
     def end(self) -> None:
@@ -153,7 +146,7 @@ class TestTheRows:
             axes, fixed = (AXES, FIXED) if engine == "plain" else (LONG, {**FIXED, "energy": False})
             far = sweep("soft_tissue", axes, seeds=3, fixed=fixed, metrics=metrics, engine=engine,
                         executor=rig.client.get_executor())
-            assert rows(far) == rows(sweep("soft_tissue", axes, seeds=3, fixed=fixed, metrics=metrics, engine="plain"))
+            assert list(far) == list(sweep("soft_tissue", axes, seeds=3, fixed=fixed, metrics=metrics, engine="plain"))
             assert len(far) == (18 if engine == "plain" else 6)
         assert rig.client.status == "running"  # the client is still its owner's
         until(lambda: rig.tasks() <= before)  # what came back is not kept, though the client is open
@@ -163,7 +156,7 @@ class TestTheRows:
         (tmp_path / "own.py").write_text(OWN)
         monkeypatch.chdir(tmp_path)
         far = sweep("own.py", {"k_e": [100.0, 200.0, -1.0]}, executor=rig.client.get_executor())
-        assert rows(far) == rows(sweep("own.py", {"k_e": [100.0, 200.0, -1.0]}))
+        assert list(far) == list(sweep("own.py", {"k_e": [100.0, 200.0, -1.0]}))
         assert far.counts() == {"ok": 2, "refused": 1}
 
     @pytest.mark.full
@@ -180,7 +173,7 @@ class TestTheRows:
             far = sweep("soft_tissue", LONG, seeds=60, fixed=FIXED, executor=executor, out=tmp_path / "s", show=show)
         assert kill.held > 0
         assert told[-1] == 120
-        assert rows(far) == near_rows()
+        assert list(far) == near_rows()
         until(lambda: rig.tasks() <= before)
         assert sorted(lines(tmp_path / "s")) == list(range(120))
 
@@ -256,16 +249,14 @@ class TestAnAddress:
                 pass
         assert time.monotonic() - began < 10.0
 
-    def test_of_a_worker_is_none_of_a_scheduler(self, rig: Rig) -> None:
+    def test_of_a_worker_or_a_scheduler_of_another_release_is_refused_and_all_without_the_extra(
+        self, rig: Rig, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         with pytest.raises(Refused, match="no scheduler but a worker"), connected(next(iter(rig.client.nthreads()))):
             pass
-
-    def test_of_a_scheduler_of_another_release_is_refused(self, rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("distributed.__version__", "2023.1.0")
         with pytest.raises(Refused, match="pip install 'distributed=="), connected(rig.address):
             pass
-
-    def test_needs_the_extra(self, rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("teleop.sweeps.cluster.find_spec", lambda _: None)
         with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[cluster\]'"), connected(rig.address):
             pass
@@ -292,9 +283,7 @@ class TestAWorker:
             files_of(job)
         (tmp_path / "own.py").write_text(OWN)
         assert files_of(job) == [(law, digest_of(law)), (scene, digest_of(scene))]
-
-    def test_with_another_law_beside_the_scenes_file_has_another_file(self, tmp_path: Path) -> None:
-        (tmp_path / "mine.py").write_text("from law_mine import Law\n")
+        (tmp_path / "mine.py").write_text("from law_mine import Law\n")  # another file beside one's own is told too
         (tmp_path / "law_mine.py").write_text("import gains\n")
         found = set()
         for gain in ("1", "2"):
@@ -396,5 +385,5 @@ class TestAFrailCluster:
             carry_out(plan, executor=pool, out=tmp_path / "s", show=end)
         there = lines(tmp_path / "s")
         assert 10 <= len(there) == len(set(there)) < 120
-        assert rows(carry_out(plan, out=tmp_path / "s")) == near_rows()
+        assert list(carry_out(plan, out=tmp_path / "s")) == near_rows()
         assert sorted(lines(tmp_path / "s")) == list(range(120))

@@ -56,7 +56,7 @@ def test_a_row_number_of_1e12_takes_no_terabyte(tmp_path: Path, peak: Callable[[
     assert peak() < 30_000_000  # the first one imports, too
 
 
-def test_the_missing_rows_of_a_sweep_with_far_apart_ones_are_still_the_longest_ranges() -> None:
+def test_missing_rows_between_far_apart_ones_are_the_longest_ranges_of_as_many_as_the_grid_says() -> None:
     done = RowNumbers()
     for number in (0, 4095, 4096, 3 * 4096, 10**9):
         done._add(number)
@@ -64,9 +64,6 @@ def test_the_missing_rows_of_a_sweep_with_far_apart_ones_are_still_the_longest_r
     assert list(done.gaps(10**9 + 1)) == gaps
     assert list(done.gaps(10**9 + 5)) == [*gaps, range(10**9 + 1, 10**9 + 5)]
     assert list(done.gaps(4096)) == gaps[:1]
-
-
-def test_a_sweep_has_as_many_rows_as_its_grid_says() -> None:
     assert rows_of(DEFINITION) == 8
     assert rows_of({"grid": {"axes": [{"knobs": ["k"], "values": {"count": 10**6}}], "seeds": [1, 5]}}) == 2 * 10**6
     assert rows_of({}) > 10**18
@@ -81,19 +78,18 @@ def test_a_file_of_rows_that_is_one_endless_line_is_refused(tmp_path: Path, peak
     assert peak() < 10 * LONGEST
 
 
-class TestAScene:
-    def test_that_a_sweep_names_is_not_run_but_for_who_trusts_the_folder(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.chdir(tmp_path)
-        Path("evil.py").write_text("from pathlib import Path\nPath('ran').touch()\n"
-                                   "from scenarios.soft_tissue import scene\n")
-        folder = sweep_of(Path("s"), *map(row, range(8)), scene="evil.py")
-        assert main(["report", str(folder), "--plot"]) == 0
-        assert (folder / "sweep.png").is_file()
-        assert not Path("ran").exists()
-        assert main(["report", "--trust", str(folder), "--plot"]) == 0
-        assert Path("ran").exists()
+def test_a_scene_that_a_sweep_names_is_not_run_but_for_who_trusts_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("evil.py").write_text("from pathlib import Path\nPath('ran').touch()\n"
+                               "from scenarios.soft_tissue import scene\n")
+    folder = sweep_of(Path("s"), *map(row, range(8)), scene="evil.py")
+    assert main(["report", str(folder), "--plot"]) == 0
+    assert (folder / "sweep.png").is_file()
+    assert not Path("ran").exists()
+    assert main(["report", "--trust", str(folder), "--plot"]) == 0
+    assert Path("ran").exists()
 
 
 DEFINITIONS: list[dict[str, Any]] = [

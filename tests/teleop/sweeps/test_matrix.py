@@ -15,7 +15,6 @@ from teleop.sweeps.matrix import (
     BUILT_IN,
     MatrixBlock,
     Row,
-    RowOutcome,
     read_matrix,
     run_block,
     run_matrix,
@@ -84,15 +83,13 @@ def written(tmp_path: Path) -> Written:
 
 
 class TestABlock:
-    def test_crosses_its_lists_and_names_each_row(self, written: Written) -> None:
+    def test_crosses_its_lists_and_names_each_row_but_for_what_it_leaves_to_the_scene(self, written: Written) -> None:
         block, = written(FULL)
         rows = block.rows()
         assert len(rows) == 24
         assert [row.id for row in rows][:3] == [
             "soft_tissue-wave-0ms-0%-seed1", "soft_tissue-wave-0ms-0%-seed2", "soft_tissue-wave-0ms-10%-seed1"]
         assert rows[-1] == Row("soft_tissue-direct-50ms-10%-seed2", "direct", 0.05, 0.1, 2, "diverged", "late")
-
-    def test_leaves_out_of_the_names_what_it_leaves_to_the_scene(self, written: Written) -> None:
         at_rest, local = written(SMALL)
         assert [row.id for row in at_rest.rows()] == [
             "at_rest-wave-0ms", "at_rest-wave-20ms", "at_rest-direct-0ms", "at_rest-direct-20ms"]
@@ -142,12 +139,6 @@ class TestWhatIsSaid:
         assert lines[4] == "1 of 5 rows not as expected:"
         assert len(lines) == 6
         assert lines[5].startswith("local-pfra: expected ok (a hope), came diverged: was not finite or passed x_limit")
-
-    def test_of_what_should_have_diverged(self) -> None:
-        row = Row("a-direct", "direct", None, None, 0, "diverged", "too late")
-        line = RowOutcome(row, "ok", 2000, {"x_err_max": 0.0123}, "x_limit = 0.3 m").line()
-        assert line == ("a-direct: expected diverged (too late), came ok: stayed within x_limit = 0.3 m in 2000 ticks, "
-                        "x_err_max 0.0123")
 
     def test_can_be_held_by_json(self, written: Written) -> None:
         blocks = written(SMALL)
@@ -203,15 +194,14 @@ def test_a_wrong_file_is_refused_in_one_sentence(written: Written) -> None:
 
 
 class TestTheCommand:
-    def test_is_done_whatever_came(self, tmp_path: Path, typed: Callable[..., Any]) -> None:
+    def test_is_done_whatever_came_and_keeps_the_rows_and_goes_on_where_it_is_told_to(
+        self, tmp_path: Path, typed: Callable[..., Any]
+    ) -> None:
         (tmp_path / "m.toml").write_text(SMALL)
         got = typed("matrix", "m.toml")
         assert got.code == 0, got.err
         assert "1 of 5 rows not as expected:" in got.out
         assert [path.name for path in tmp_path.iterdir()] == ["m.toml"]
-
-    def test_keeps_the_rows_and_goes_on_there(self, tmp_path: Path, typed: Callable[..., Any]) -> None:
-        (tmp_path / "m.toml").write_text(SMALL)
         first = typed("matrix", "m.toml", "--json", "--out", "kept")
         kept = tmp_path / "kept" / "at_rest" / "rows.jsonl"
         lines = kept.read_text().splitlines()

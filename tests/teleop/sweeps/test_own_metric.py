@@ -88,16 +88,19 @@ class TestOneThatRaises:
             written = [json.loads(line)["k_e"] for line in (folder / "rows.jsonl").read_text().splitlines()]
             assert written == [60.0, 70.0, 80.0]
 
-    def test_that_wants_to_exit_is_told_too(self) -> None:
+    def test_that_wants_to_exit_is_told_too_and_nan_says_that_a_row_has_none(self) -> None:
         def leaves(result: Result) -> float:
             raise SystemExit(result.ticks)
 
+        def none(result: Result) -> float:
+            return float("nan") if result.ticks else 0.0
+
         with pytest.raises(MetricMistake, match=r"raised SystemExit: 100, in row 0"):
             sweep("soft_tissue", fixed=FIXED, metrics=[leaves])
+        row, = sweep("soft_tissue", fixed=FIXED, metrics=[none])
+        assert "none" not in row
 
-
-class TestOneThatReturnsNoNumber:
-    def test_was_a_blank_cell_or_a_guess_and_is_refused_where_numbers_of_any_kind_are_taken(self) -> None:
+    def test_or_returns_no_number_was_a_blank_cell_or_a_guess_and_is_refused(self) -> None:
         result, value = run(load_scene("soft_tissue", **FIXED)), None
 
         def odd(result: Result) -> Any:  # noqa: ARG001 - of no run in particular
@@ -109,13 +112,6 @@ class TestOneThatReturnsNoNumber:
                 pytest.fail(f"{value}: {evaluate_metric(odd, result, ROW)}")
         for value in (2, np.float32(2.0), np.int64(2), np.array(2.0), 2.0):
             assert evaluate_metric(odd, result, ROW) == 2.0, value
-
-    def test_says_by_nan_that_a_row_has_none(self) -> None:
-        def none(result: Result) -> float:
-            return float("nan") if result.ticks else 0.0
-
-        row, = sweep("soft_tissue", fixed=FIXED, metrics=[none])
-        assert "none" not in row
 
 
 def edited(text: str) -> Callable[[Result], float]:
@@ -172,19 +168,16 @@ class TestAfterTheMend:
         assert refused
 
 
-def test_a_metric_of_the_package_without_lines_in_the_kernels_was_a_blank_column(monkeypatch: pytest.MonkeyPatch
-                                                                                  ) -> None:
-    """Such a one takes the whole record, as a function does."""
+def test_a_metric_without_lines_in_the_kernels_was_a_blank_column(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such a one takes the whole record, as a function does; every metric has a column where its run has it."""
     engines._kinds.cache_clear()
     monkeypatch.setattr(engines, "KEPT_ALONG", {})
     row, = sweep("soft_tissue", fixed=FIXED, metrics=["f_m_max"])
     engines._kinds.cache_clear()
-    assert row["f_m_max"] == run(load_scene("soft_tissue", **FIXED)).metrics["f_m_max"]
-
-
-def test_every_metric_has_a_column_where_its_run_has_it() -> None:
-    row, = sweep("soft_tissue", fixed=FIXED, metrics=[*UNITS])
     single = run(load_scene("soft_tissue", **FIXED)).metrics
+    assert row["f_m_max"] == single["f_m_max"]
+    monkeypatch.undo()
+    row, = sweep("soft_tissue", fixed=FIXED, metrics=[*UNITS])
     assert {name: row[name] for name in UNITS if name in row} == {**single}
 
 

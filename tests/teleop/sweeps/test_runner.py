@@ -19,11 +19,9 @@ import pytest
 import teleop.sweeps.runner
 from channel.delay import Delay
 from teleop import Direct, Refused, Result, Wave, load_scene, run, sweep
-from teleop.analysis.stability.assess import critical
 from teleop.laws.direct import Forth
 from teleop.sweeps.chunk import ChunkResult, Job, work
 from teleop.sweeps.runner import carry_out, cores, plan_sweep
-from tests.fakes import usually
 from tests.programs import COMPILERS, compiler_of, program
 
 AXES = {"law": ["wave", "direct", "pfra"], "k_e": [100.0, 400.0]}
@@ -71,12 +69,6 @@ class TestARow:
             assert (row["status"], row["ticks"]) == (single.status, single.ticks)
             for name in ("x_err_rms", "f_m_max", "E_link_min", "E_port_end", "fresh_fwd", "T_bwd_mean"):
                 assert row.get(name) == single.metrics.get(name)
-
-    def test_depends_on_no_other_row(self) -> None:
-        few = rows(sweep("soft_tissue", {"d_e": [2.0], "k_e": [100.0]}, seeds=[5], fixed=FIXED))
-        many = rows(sweep("soft_tissue", {"d_e": [1.0, 2.0, 5.0], "k_e": [50.0, 100.0]}, seeds=[3, 5], fixed=FIXED))
-        same = [row for row in many if (row["d_e"], row["k_e"], row["seed"]) == (2.0, 100.0, 5)]
-        assert [{**row, "row": 0} for row in same] == few
 
     def test_has_a_users_own_figure_and_those_that_need_a_record(self) -> None:
         row, = rows(sweep("soft_tissue", {}, fixed=FIXED, metrics=[peak, "E_fwd_min", "f_m_end"]))
@@ -299,9 +291,6 @@ def test_workers_are_as_many_as_this_process_may_use_cores_or_the_whole_number_t
     assert not (tmp_path / "s").exists()
 
 
-# Ctrl-C: what is done is kept, and nobody waits for work that cannot be stopped
-
-
 def test_an_interrupt_while_a_job_compiles_waited_for_its_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A compiler asks nobody whether it may go on: the second row's job stands for it."""
     compiling, compiled, ended = Event(), Event(), Event()
@@ -362,73 +351,3 @@ def test_a_process_that_was_interrupted_stayed_until_its_threads_were_done(
     assert "interrupted: the same command goes on from here" in answer.out
     assert "Traceback" not in answer.err
     assert json.loads((tmp_path / "runs/slow-sweep/summary.json").read_text())["status"] == "interrupted"
-
-
-# Numbers that are known otherwise
-
-
-SCENE = '''
-from master import Grip, Rest
-from teleop import BackwardDifference, Device, MassDamper, Scene, VirtualWall
-
-
-def scene(*, K: float = 100.0, delay: int = 0, near: float = 100.0, duration: float = 60.0) -> Scene:
-    """A handle pressed some 30 mm into a virtual wall, 0.1 mm from rest: it swings in contact, and dies or grows."""
-    press = 0.03 * near
-    return Scene(
-        law=VirtualWall(K=K), master=MassDamper(mass=0.04, damping=0.8), start_m=press / (K + 1.0) + 1e-4,
-        hand=Grip(mass=0.0, k=1.0, d=0.0, reference=Rest(at=press)), x_limit=0.05, dt=1e-3, duration=duration,
-        device_m=Device(velocity=BackwardDifference(), delay=delay),
-    )
-'''
-
-
-ENGINES = usually("engine", [None, "plain", "c", "vector"], None)  # None: the one that is chosen for it
-
-
-@pytest.mark.full
-@ENGINES
-def test_the_critical_stiffness_of_a_sampled_wall(engine: str | None, tmp_path: Path) -> None:
-    """m = 0.04 kg, b = 0.8 N s/m, 1 kHz: eigenvalues of the exact model say where; runs say the same to 1 %."""
-    compiler_of(engine)
-    (tmp_path / "pressed.py").write_text(SCENE)
-    name = str(tmp_path / "pressed.py")
-    for delay, computed in ((0, 1605.35), (1, 536.28), (5, 148.08), (10, 78.745)):
-        knobs = {"delay": delay, "near": computed}
-        edge = critical(lambda K, knobs=knobs: load_scene(name, **knobs, K=K), "K", low=0.5 * computed,
-                        high=2.0 * computed).value
-        assert edge == pytest.approx(computed, rel=0.02)  # the hand that presses is a spring of 1 N/m
-        table = sweep(name, {"K": [factor * edge for factor in (0.97, 0.99, 1.01, 1.03)]}, fixed=knobs,
-                      metrics=["f_m_max"], engine=engine)
-        assert [row["status"] for row in table] == ["ok", "ok", "diverged", "diverged"], delay
-
-
-HANDLES = '''
-from channel import Delay, Link
-from master import Grip, Rest
-from slave import Tissue
-from teleop import Direct, MassDamper, Scene
-
-
-def scene(*, forth: int = 1, back: int = 1, k: float = 400.0, duration: float = 60.0) -> Scene:
-    """Two handles, position-force, held by 100 N/m and 2 N s/m on a bonded wall, let go 1 mm from rest."""
-    handle = MassDamper(mass=0.04, damping=0.8)
-    return Scene(
-        law=Direct(K=k, B=0.01 * k if k == 400.0 else 8.0), master=handle, slave=handle, start_m=1e-3,
-        hand=Grip(mass=0.0, k=100.0, d=2.0, reference=Rest()), environment=Tissue(k=k, d=0.0), observer=None,
-        link=Link(Delay(1e-3 * forth), Delay(1e-3 * back)), x_limit=0.1, dt=1e-3, duration=duration,
-    )
-'''
-
-
-@pytest.mark.full
-@ENGINES
-def test_the_delay_margin_of_two_handles(engine: str | None, tmp_path: Path) -> None:
-    """Position-force at 1 kHz is first unstable at a round trip of 9 ticks; on the stiff wall at the least there is."""
-    compiler_of(engine)
-    (tmp_path / "handles.py").write_text(HANDLES)
-    for k, trips, first in ((400.0, (7, 8, 9, 10), 9), (2000.0, (2, 3), 2)):
-        ways = [(trip // 2, trip - trip // 2) for trip in trips]
-        table = sweep(str(tmp_path / "handles.py"), {("forth", "back"): ways}, fixed={"k": k}, metrics=["x_err_max"],
-                      engine=engine)
-        assert [row["status"] for row in table] == ["ok" if trip < first else "diverged" for trip in trips], k

@@ -45,13 +45,6 @@ class TestOneAxisOfSeveral:
 
 
 class TestOnePort:
-    def test_a_wall(self) -> None:
-        got = one_port(load_scene("virtual_wall", **{"law.K": 800.0, "law.B": 0.3}))
-        assert got.needed.damping == pytest.approx(0.7, rel=1e-9)
-        assert got.stiffness == pytest.approx(800.0)
-        assert got.passive
-        assert not one_port(load_scene("virtual_wall", **{"law.K": 800.0, "law.B": 0.41})).passive
-
     def test_delay_slow_renewal_and_a_filtered_velocity(self) -> None:
         for delay, every in ((3, 1), (0, 4), (2, 3)):
             got = one_port(load_scene("virtual_wall", delay=delay, every=every, **{"law.B": 0.2}))

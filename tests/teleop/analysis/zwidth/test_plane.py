@@ -144,26 +144,12 @@ class TestRegion:
 @pytest.mark.parametrize(("knobs", "B"), [
     ({"delay": 2}, 0.8), *(pytest.param(*each, marks=pytest.mark.full) for each in (
         ({}, 0.0), ({}, 0.8), ({"delay": 2}, 0.0), ({"every": 5}, 0.0), ({"every": 5}, 0.8)))])
+
+
 def test_without_an_encoder_it_is_the_edge_of_the_linear_loop(knobs: dict[str, int], B: float) -> None:
     scene = load_scene("virtual_wall", **knobs)
     exact = boundary(loop(scene, hand=True), [B]).K[0]
     assert stiffest_at_rest(let_go(scene), B, near=exact) == pytest.approx(exact, rel=0.06)
-
-
-def test_the_encoder_wall_of_the_laboratory_hums_or_not() -> None:
-    for still, K, every, cap in ((True, 400.0, 1, None), (False, 2500.0, 1, None), (False, 400.0, 5, None),
-                                 (True, 400.0, 5, 0.8)):
-        scene = load_scene("encoder_wall", K=K, every=every, cap=cap)
-        assert settled(let_go(scene)).rests == still, (K, every, cap)
-
-
-@pytest.mark.full
-def test_a_passivity_controller_raises_what_comes_to_rest() -> None:
-    without, with_it = (
-        stiffest_at_rest(let_go(load_scene("encoder_wall", **knobs)), 0.0, near=1600.0) or 0.0
-        for knobs in ({}, {"cap": 0.8})
-    )
-    assert with_it > 1.3 * without
 
 
 def test_up_to_what_is_found_all_that_were_tried_rest() -> None:

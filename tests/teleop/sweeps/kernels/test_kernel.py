@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass, replace
-from math import hypot
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,9 +69,6 @@ def test_a_carried_plant_knows_the_one_that_it_carries() -> None:
         assert at_rest(moving) == still
 
 
-# What is not compiled
-
-
 GAINS = (1.0, 2.0)
 
 
@@ -127,16 +123,15 @@ def test_a_law_that_cannot_be_compiled_runs_otherwise_with_the_same_bits(law: An
         assert (ran, why in reason, count) == (engine, True, 9), (ran, reason)
 
 
-# Scenes, laws and bodies of a user's
-
-
 OWN = """
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 from teleop import Plant, Scene, load_scene
 
+
 class Word(NamedTuple):
     x: float
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mine:
@@ -147,18 +142,22 @@ class Mine:
     def master(self, s, at, rx): return self.K * (at.x - rx.x), Word(at.x), s
     def slave(self, s, at, rx): return self.K * (rx.x - at.x) - 4.0 * at.v, Word(at.x), s
 
+
 def move(c, x, v, f):
     k, table = c
     return x + 1e-3 * v, v + 1e-3 * (f - k * table[1] * x - 2.0 * v), 0
 
+
 def force(c, x, v):
     return c[0] * c[1][1] * x
+
 
 @dataclass(frozen=True, kw_only=True)
 class Springs:
     k: float
     def plant(self, body, dt): return Plant(move, force, (1.0, [0.0, self.k]))
     def resistance(self): raise NotImplementedError
+
 
 def scene(*, k: float = 10.0, law: object = Mine()) -> Scene:
     return replace(load_scene("free_motion", link="none", duration=0.2), law=Mine(), environment=Springs(k=k),
@@ -185,8 +184,10 @@ from typing import ClassVar
 
 PARTS = ({tuple}, 1.0)
 
+
 def push(x):
     return {factor} * x * PARTS[0] * gains.G
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mine:
@@ -198,6 +199,7 @@ SCENE = """
 from dataclasses import replace
 from mine import Mine
 from teleop import Scene, load_scene
+
 
 def scene(*, duration: float = 0.2) -> Scene:
     return replace(load_scene("virtual_wall", energy=False), law=Mine(), duration=duration)
@@ -275,8 +277,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 from teleop.sweeps.runner import carry_out, plan_sweep
 
+
 def push(x):
     return 50.0 * x
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mine:
@@ -285,12 +289,6 @@ class Mine:
     def force(self, s, at): return push(at.x), s
 
 plan = plan_sweep("virtual_wall", {"k": [1e3, 2e3]}, fixed={"law": Mine(), "energy": False, "duration": 0.1},
-                  metrics=["f_m_max"], engine="c")
-print(carry_out(plan).counts(), dict(plan.ran))
-"""
-SMALL = """
-from teleop.sweeps.runner import carry_out, plan_sweep
-plan = plan_sweep("virtual_wall", {"k": [1e3, 2e3]}, fixed={"energy": False, "duration": 0.1},
                   metrics=["f_m_max"], engine="c")
 print(carry_out(plan).counts(), dict(plan.ran))
 """
@@ -305,7 +303,7 @@ def test_a_law_in_the_users_own_script_is_compiled_too(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_processes_that_make_the_same_kernel_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
     program(*COMPILERS)
-    (tmp_path / "script.py").write_text(SMALL)
+    (tmp_path / "script.py").write_text(SCRIPT)
     at_once = [in_process(tmp_path, "script.py") for _ in range(2)]
     assert {output(each) for each in at_once} == {"{'ok': 2} {('c', ''): 2}\n"}
     left = sorted(path.name for path in (tmp_path / "cache/bilateral-teleop/kernels").iterdir())
@@ -350,19 +348,6 @@ class Divides:
         return (100.0 * at.x if scale * scale < 4.0 else 0.0), Turns(s.count + 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Hypotenuse:
-    """A law with a function that has no line in C."""
-
-    K: float = 100.0
-
-    def start(self, at: Any) -> tuple[()]:
-        return ()
-
-    def force(self, s: tuple[()], at: Any) -> tuple[float, tuple[()]]:
-        return self.K * hypot(at.x, 0.0), s
-
-
 def scene_of(law: Any) -> Scene:
     return replace(virtual_wall(b=0.81, energy=False), law=law, duration=0.1)
 
@@ -379,15 +364,6 @@ def test_a_row_in_which_python_would_have_raised_ends_as_diverged() -> None:
     kernel, (status, ticks, _) = row_of(scene_of(Divides()))
     assert (kernel.engine, status, ticks) == ("c", "diverged", 100)
     assert row_of(scene_of(Divides(at=-1.0)))[1][0] == "ok"
-
-
-def test_what_has_no_line_in_c_runs_by_another_engine_which_says_why() -> None:
-    program(*COMPILERS)
-    of = scene_of(Hypotenuse())
-    kernel, row = row_of(of)
-    assert kernel.engine == "plain"
-    assert "`hypot` is rounded otherwise" in kernel.why
-    assert row[2]["f_m_max"] == run(of).metrics["f_m_max"]
 
 
 def test_a_row_of_very_many_numbers_kept_the_compiler_busy_for_a_minute() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Callable, Sequence
 from itertools import combinations, product
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import teleop.terminal.plotting
 from teleop import Refused, Table
 from teleop.sweeps.pictures.layout import OTHER, STATUS, spaced
 from teleop.sweeps.pictures.picture import draw
@@ -358,44 +356,23 @@ class TestCurves:
 
 
 class TestRequests:
+    """Others that cannot be drawn, a full disk and a missing matplotlib: as they are typed, `../test_command.py`."""
+
     def table(self) -> Table:
         return rows({"delay": DELAYS, "law": ("a", "b")}, lambda *_, **__: 1.0)
 
-    def test_that_cannot_be_drawn_are_refused(self, tmp_path: Path) -> None:
-        """What is typed wrong: `tests/refusals.toml`."""
-        for kind, metric, said in (("curves", "x_err", "did you mean x_err_rms"),
-                                   ("stability", "x_err_rms", "two knobs with numbers")):
-            with pytest.raises(Refused, match=said):
-                draw(self.table(), tmp_path / "p", kind, metric=metric)
-        table = rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(1.0))
-        with pytest.raises(Refused, match="--picture metric"):
-            draw(table, tmp_path / "p", "stability", metric="x_err_rms")
-        assert not list(tmp_path.iterdir())
-
-    def test_need_something_that_varies_and_a_metric_for_curves(self, tmp_path: Path) -> None:
-        for table in (Table([], ("delay",), ()), rows({"delay": (0.1,)}, lambda *_, **__: 1.0, seeds=9)):
-            with pytest.raises(Refused, match="several values"):
-                draw(table, tmp_path / "p")
+    def test_without_something_that_varies_or_a_metric_are_refused(self, tmp_path: Path) -> None:
         bare = [{k: v for k, v in row.items() if k != "x_err_rms"} for row in self.table()]
-        with pytest.raises(Refused, match="no metric to draw"):
-            draw(Table(bare, ("delay", "law"), ()), tmp_path / "p")
-
-    def test_without_matplotlib_are_answered_with_the_line_that_gets_it(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
-        with pytest.raises(Refused, match="pip install"):
-            draw(self.table(), tmp_path / "p")
+        for table, kind, metric, said in (
+                (Table([], ("delay",), ()), None, None, "several values"),
+                (rows({"delay": (0.1,)}, lambda *_, **__: 1.0, seeds=9), None, None, "several values"),
+                (Table(bare, ("delay", "law"), ()), None, None, "no metric to draw"),
+                (rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(1.0)), "stability", "x_err_rms",
+                 "--picture metric")):
+            with pytest.raises(Refused, match=said):
+                draw(table, tmp_path / "p", kind, metric=metric)
+        assert not list(tmp_path.iterdir())
 
     def test_of_the_same_rows_give_the_same_bytes(self, tmp_path: Path) -> None:
         (a,), (b,) = (draw(self.table(), tmp_path / name) for name in "ab")
         assert a.read_bytes() == b.read_bytes()
-
-    def test_on_a_full_disk_leave_what_was_there(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        def full(*_: Any, **__: Any) -> None:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-        monkeypatch.setattr(teleop.terminal.plotting, "replacing", full)
-        with pytest.raises(Refused, match="No space left"):
-            draw(self.table(), tmp_path / "p")
-        assert not list(tmp_path.iterdir())
