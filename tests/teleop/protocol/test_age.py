@@ -68,16 +68,14 @@ def test_the_law_gets_an_old_message_all_the_same() -> None:
     assert not [note for note in free.notes if "watchdog" in note]
 
 
-def test_a_scene_pays_for_an_age_only_if_it_has_one() -> None:
-    assert "c_dog_m.age" in rendered(growing())
-    assert "c_dog_m.age" not in rendered(growing(dog=replace(DOG, age=None)))
-    assert "newest" not in rendered(growing(dog=replace(DOG, age=None)))
-
-
-def test_a_fixed_playout_longer_than_the_age_holds_no_force_and_says_so() -> None:
+def test_a_fixed_playout_longer_than_the_age_holds_no_force_and_says_so_and_a_scene_without_one_does_not_pay() -> None:
     result = run(growing(playout=Fixed(0.4), link=load_scene("canonical").link))
     assert (result.trace["f_s"][252:] == 0.0).all()
     assert len([note for note in result.notes if "age of 0.3 s" in note]) == 2
+    assert "c_dog_m.age" in rendered(growing())
+    without = rendered(growing(dog=replace(DOG, age=None)))
+    assert "c_dog_m.age" not in without
+    assert "newest" not in without
 
 
 # Live

@@ -24,7 +24,6 @@ from teleop.laws.wave_position import WavePosition
 from teleop.live.options import ticks_of
 from teleop.physics.plant import MassDamper
 from teleop.protocol.endpoint import Endpoint, Stepped
-from teleop.protocol.guard import UNNAMED
 from teleop.protocol.packet import VERSION, Echo, Kind, Packet, encode
 from teleop.protocol.session import Session
 from teleop.scene.playout import Energy, Fixed, Hold, Integral, Scaled, Zero
@@ -39,9 +38,6 @@ from tests.teleop.law.test_law import Timed
 from tests.teleop.protocol.ends import MS, ROUGH, SEED, START, Both, met, packet_in, reading, scene
 from tests.teleop.scene.unlike import LAWS, unlike
 from tests.teleop.stages.tumbling import tumbling
-
-__all__ = ["MS", "START", "met"]
-
 
 # One thing: virtual time and two live ends
 
@@ -237,9 +233,7 @@ def sealed(data: bytes) -> bytes:
 
 
 def resealed(data: bytes, place: int, byte: int) -> bytes:
-    changed = bytearray(data[:-4])
-    changed[place] = byte
-    return sealed(bytes(changed))
+    return sealed(data[:place] + bytes((byte,)) + data[place + 1:-4])
 
 
 def bad_ones(both: Both, e: str, k: int) -> list[tuple[str, str, bytes]]:
@@ -303,19 +297,6 @@ def test_replayed_packets_change_nothing(ago: int, playout: Any) -> None:
         assert (inbox.received, inbox.duplicates) == (quiet.ticks - 1, quiet.ticks - ago)
 
 
-def test_a_storm_of_packets_for_later_is_bounded_in_memory() -> None:
-    both = Both(scene())
-    end = both.ends["s"]
-    for i in range(8000):
-        end.receive(forged(both, "s", i % 4000), START)
-    most = round(UNNAMED.timeout / 1e-3) + 2
-    assert end.rejected["early"] == 2 * (4000 - most), "a timeout ahead is too far: the two share one grid"
-    assert end.session.ended is None
-    inbox: Any = end.inbox
-    assert inbox.take(1100) is not None
-    assert inbox.received + inbox.duplicates == 2 * most
-
-
 # Messages that are no numbers, or other ones
 
 
@@ -369,17 +350,12 @@ def test_nothing_is_sent_before_there_is_a_session() -> None:
 # Energy stamps, delays, round trips, ticks that were missed
 
 
-def test_no_end_receives_more_energy_than_the_packet_it_plays_says_was_sent() -> None:
+def test_no_end_receives_more_energy_than_the_packet_it_plays_says_was_sent_but_by_holding_waves() -> None:
+    """The hand is on its way when the link goes dark; its last wave is played for a tenth of a second."""
     for link, playout in ((ROUGH, Zero()), ("bernoulli(0.4) | duplicate(0.3)", Zero()), (ROUGH, Fixed(0.025))):
         both = Both(scene(link=parse_link(link), playout=playout)).run()
-        for e in "ms":
-            margin = both.ends[e].stamp_margin
-            assert margin is not None
-            assert margin >= -1e-15, (link, playout)
-
-
-def test_holding_waves_shows_in_the_stamps() -> None:
-    """The hand is on its way when the link goes dark; its last wave is played for a tenth of a second."""
+        assert min(both.ends[e].stamp_margin or 0.0 for e in "ms") >= -1e-15, (link, playout)
+        assert None not in [both.ends[e].stamp_margin for e in "ms"]
     both = Both(scene(link=parse_link("blackout(0.3, 0.1)"), playout=Hold(), duration=0.6)).run()
     assert (both.ends["s"].stamp_margin or 0.0) < -0.01
 

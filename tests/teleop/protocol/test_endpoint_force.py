@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import nan
+from math import inf, nan
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop import Cap, Direct, Fixed, Scene, Watchdog, Zero, load_scene
+from teleop import Cap, Direct, Fixed, Watchdog, Zero, load_scene
 from teleop.protocol.endpoint import Endpoint
+from teleop.protocol.guard import Event
+from teleop.protocol.states import Cause
 from teleop.stages.force_cap import LONGEST
 from tests.teleop.protocol.ends import MS, START, Both, met, reading, scene
 
@@ -35,26 +37,22 @@ def test_a_single_reading_that_fails_makes_the_force_jump_neither_down_nor_back(
     assert "it is gone" in end.guard.events[0].why
 
 
-def test_without_a_reading_the_force_falls_along_the_watchdogs_ramp() -> None:
-    end = met(scene(Direct(K=200.0, B=0.0), watchdog=Watchdog(ramp=0.02)))["s"]
-    assert blind_in(end, 21) == pytest.approx([*np.linspace(2.0, 0.0, 21), 0.0])
-
-
-def test_without_a_reading_there_is_no_force_after_a_tenth_of_a_second_whatever_ramp_and_slew_ask() -> None:
-    end = met(scene(Direct(K=200.0, B=0.0), watchdog=Watchdog(ramp=10.0)))["s"]
+def test_without_a_reading_the_force_falls_along_the_ramp_and_there_is_none_after_a_tenth_of_a_second() -> None:
+    """Whatever ramp and slew ask, and of a stepped end without a watchdog too. The guard counts such a tick as any."""
+    quick, slow = (met(scene(Direct(K=200.0, B=0.0), watchdog=Watchdog(ramp=ramp)))["s"] for ramp in (0.02, 10.0))
     other = met(scene(Direct(K=200.0, B=0.0), cap=Cap(f_max=5.0, slew=1.0)))["s"]
     other.tick(29, START + 29 * MS, reading(0.0))
     other.held.force = (2.0,)
-    for force in (blind_in(end, 110), [2.0, *[other.left_out(k, "gone")[0] for k in range(30, 140)]]):
+    assert blind_in(quick, 21) == pytest.approx([*np.linspace(2.0, 0.0, 21), 0.0])
+    assert quick.guard.gain == 0.0
+    assert quick.guard.events == [Event(30, "safe", "the device: it is gone", Cause.DEVICE)]
+    for force in (blind_in(slow, 110), [2.0, *[other.left_out(k, "gone")[0] for k in range(30, 140)]]):
         assert force[100] > 1.8
         assert force[102:] == [0.0] * 9
-
-
-def test_without_a_reading_a_stepped_end_without_a_watchdog_lets_go_too() -> None:
-    end = met(scene(Direct(K=200.0, B=0.0)), is_stepped=True)["s"]
-    end.tick(0, START, reading(-0.01))
-    end.held.force = (2.0,)
-    assert [end.left_out(k, "gone")[0] for k in range(1, 60)][49:] == [0.0] * 10
+    stepped = met(scene(Direct(K=200.0, B=0.0)), is_stepped=True)["s"]
+    stepped.tick(0, START, reading(-0.01))
+    stepped.held.force = (2.0,)
+    assert [stepped.left_out(k, "gone")[0] for k in range(1, 60)][49:] == [0.0] * 10
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-1.0, 1.0), st.sampled_from("ms"), st.floats(0.0, 0.2),
@@ -81,13 +79,18 @@ def test_the_force_of_a_run_that_is_over_falls_to_zero_and_never_turns_or_jumps(
 
 
 def test_a_force_that_is_not_finite_is_not_the_one_from_which_the_held_one_falls() -> None:
+    """It is if its parts are, whatever their sum is."""
     end = met(scene(Direct(K=200.0, B=0.0), cap=Cap(f_max=5.0, slew=100.0)))["s"]
-    for k in range(30):
-        end.tick(k, START + k * MS, reading(-0.01 if k else 0.0))
+    blind_in(end, 0)
     end.tick(30, START + 30 * MS, reading(nan))
     assert end.force_failed == "f_s"
     assert end.held.force == (2.0,)
     assert end.held.over(None)[0] == pytest.approx(1.96)
+    held = met(scene(Direct(K=200.0, B=0.0)))["s"].held
+    assert held.take(0, (1.7e308, 1.7e308))
+    assert not held.take(1, (1.0, nan))
+    assert not held.take(2, (inf, -inf))
+    assert held.force == (1.7e308, 1.7e308)
 
 
 def test_after_a_stall_on_its_way_the_force_is_where_the_ramp_has_come_to_or_at_zero_if_the_device_let_go() -> None:
@@ -97,14 +100,6 @@ def test_after_a_stall_on_its_way_the_force_is_where_the_ramp_has_come_to_or_at_
         end.held.force = (2.0,)
         end.held.over(None)
         assert end.held.over(None, stall)[0] == pytest.approx(2.0 * left)
-
-
-def test_a_force_is_held_if_its_parts_are_finite_whatever_their_sum_is() -> None:
-    held = met(scene(Direct(K=200.0, B=0.0)))["s"].held
-    assert held.take(0, (1.7e308, 1.7e308))
-    assert not held.take(1, (1.0, nan))
-    assert not held.take(2, (float("inf"), float("-inf")))
-    assert held.force == (1.7e308, 1.7e308)
 
 
 @pytest.mark.parametrize("held", [15.5, 6062.0])
@@ -177,17 +172,13 @@ def test_a_device_that_is_not_where_the_scene_begins_is_taken_up_where_it_is_and
 FROM, UNTIL = 2200, 3400  # ticks at which the slave's device is in trouble
 
 
-def stuck(of: Scene) -> dict[str, np.ndarray]:
-    trouble = Both(of, trouble=lambda e, k: "the device: it is stuck" if e == "s" and FROM <= k < UNTIL else None)
-    return dict(trouble.run().trace())
-
-
 @pytest.mark.parametrize("playout", ["zero", "integral"])
 def test_a_hand_feels_no_wall_of_a_slave_that_has_let_go_of_it_and_feels_it_again_by_no_jump(playout: str) -> None:
     """Up to 16.6 N came back from a slave without force, and 0.58 J: its law sent what it would have pressed with."""
     again = playout == "zero"
     of = load_scene("hard_wall", playout=playout, duration=4.6 if again else 3.4, link="delay(0.02) ; delay(0.02)")
-    trace = stuck(of)
+    stuck = Both(of, trouble=lambda e, k: "the device: it is stuck" if e == "s" and FROM <= k < UNTIL else None)
+    trace = stuck.run().trace()
     assert trace["f_m"][FROM] > 3.0
     assert (trace["f_s"][UNTIL - 400:UNTIL] == 0.0).all()
     assert abs(trace["f_m"][UNTIL - 200:UNTIL]).max() < 0.3

@@ -23,7 +23,7 @@ from teleop.simulation.prepared import prepare
 from teleop.simulation.trace import EndRecord, end_columns
 from teleop.stages.operator import scheduled
 from tests.fakes import law_of
-from tests.teleop.protocol.test_endpoint import MS, START, met
+from tests.teleop.protocol.ends import MS, START, met
 
 
 class Back(NamedTuple):

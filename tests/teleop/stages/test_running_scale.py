@@ -32,7 +32,7 @@ from teleop.laws.pp import PositionPosition
 from teleop.protocol.guard import ForceGuard
 from teleop.stages.scaling import check_scale
 from tests.fakes import law_of
-from tests.teleop.protocol.test_endpoint import MS, START, met
+from tests.teleop.protocol.ends import MS, START, met
 from tests.teleop.stages.test_operator import Metered, Port, bouncing, driven, scene
 
 
