@@ -11,20 +11,21 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from teleop import Cap, Direct, Fixed
 from teleop.protocol.endpoint import Endpoint, Stepped
-from teleop.protocol.estimates import ROUNDS
 from teleop.protocol.manifest import manifest_of
-from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
-from teleop.protocol.session import RENEW_NS, Session
+from teleop.protocol.packet import Kind, Packet, decode, encode
+from teleop.protocol.session import Session
 from teleop.protocol.states import Cause
+from teleop.scene.playout import Playout, Zero
 from tests.teleop.protocol.ends import MS, START, Both, met, packet_in, scene
 from tests.teleop.protocol.threats.hands import (
     LINK,
@@ -35,11 +36,13 @@ from tests.teleop.protocol.threats.hands import (
     STILL,
     TAKEOVER,
     WATCHED,
+    Change,
     at,
     control,
     data,
     handed_on,
     ticks,
+    untouched,
 )
 
 
@@ -80,7 +83,10 @@ def test_raven_the_good_packet_after_a_gap_is_played_as_long_as_the_session_live
 
 @pytest.mark.parametrize("playout", PLAYOUTS, ids=str)
 def test_raven_one_huge_sequence_number_does_not_block_what_follows(playout: Any) -> None:
-    """Of this session and well made: it is not played, and whatever honest comes after it is, from the next tick on."""
+    """Of this session and well made: it is not played, and whatever honest comes after it is, from the next tick on.
+
+    Nor of ends that step together, which are never two ticks apart.
+    """
     kept = replace(WATCHED, playout=playout)
     honest = Both(kept).run()
     for seq, cause in ((2**32 - 1, "old"), (10**9, "early")):
@@ -91,13 +97,9 @@ def test_raven_one_huge_sequence_number_does_not_block_what_follows(playout: Any
         for e in "ms":
             assert dict(both.ends[e].rejected) == {cause: 2}
             assert both.ends[e].link.way.count == honest.ends[e].link.way.count
-
-
-def test_raven_one_huge_sequence_number_does_not_block_a_stepped_end() -> None:
-    """Ends that step together are never two ticks apart."""
     for seq in (2, 3, 10**9, 2**31, 2**32 - 1):
         inbox = Stepped(None)
-        stepped = Endpoint(WATCHED, "s", met(WATCHED)["s"].session, inbox)
+        stepped = Endpoint(kept, "s", met(kept)["s"].session, inbox)
         stepped.tick(0, at(0), STILL)
         for one in (seq, 0):
             stepped.receive(data(one), at(0))
@@ -123,6 +125,12 @@ def test_raven_no_reset_of_the_sequence_makes_old_numbers_fresh_again(playout: A
         assert max(after[:-1]) < after[-1] == 160 - (playout.ticks(MS) if isinstance(playout, Fixed) else 1)
 
 
+@pytest.fixture(scope="module")
+def plain() -> Both:
+    """The run of `WATCHED` over its link, which nobody disturbed."""
+    return Both(WATCHED).run()
+
+
 @pytest.mark.parametrize("session", [OURS, OTHER])
 def test_a_second_master_takes_nothing_over_and_moves_nothing_of_a_run(session: int, plain: Both) -> None:
     words = [(e, control(kind, payload, session)) for kind, payload in TAKEOVER for e in "ms"
@@ -134,14 +142,6 @@ def test_a_second_master_takes_nothing_over_and_moves_nothing_of_a_run(session: 
         end = both.ends[e].session
         assert (end.number, end.start_ns, end.farewell, end.failure) == (OURS, START, None, None)
         assert session == OURS or dict(both.ends[e].rejected) == {"session": len(TAKEOVER) * WATCHED.ticks // 4}
-
-
-def test_what_is_held_up_for_good_is_played_late_and_shows_in_the_delays() -> None:
-    """Newest wins sets no bound to a message's age: a delay that lasts is a longer link, not a silence."""
-    both = handed_on(lambda _e, k, datagram: [(10 if k < 100 else 110, datagram)])
-    way = both.ends["s"].link.way
-    assert (way.least, way.most) == (10 * MS, 110 * MS)
-    assert both.played["s"][-1] == WATCHED.ticks - 1 - 110
 
 
 def test_without_keys_content_that_was_checksummed_anew_is_believed_within_cap_and_slew() -> None:
@@ -159,31 +159,20 @@ def test_without_keys_content_that_was_checksummed_anew_is_believed_within_cap_a
         assert np.abs(np.diff(force)).max() <= 200.0 * 1e-3 + 1e-12
 
 
-def test_without_keys_numbers_beyond_all_bounds_end_the_run_and_are_not_held() -> None:
+def test_without_keys_a_number_beyond_all_bounds_is_not_held_and_behind_a_cap_does_not_silence_an_end() -> None:
+    """The cap keeps the force finite, the message is finite, and the ledger is not any more."""
     end = met(scene(Direct(), link=LINK))["s"]
     end.receive(data(0, payload=(1e308, 0.0)), at(0))
     end.tick(0, at(0), STILL)
     assert end.force_failed is None
     end.tick(1, at(1), STILL)
     assert end.force_failed == "f_s"
-
-
-def test_one_number_beyond_all_bounds_does_not_silence_an_end_for_good() -> None:
-    """The cap keeps the force finite, the message is finite, and the ledger is not any more."""
     end = met(replace(WATCHED, cap=Cap(f_max=5.0, slew=1000.0)))["s"]
     end.receive(data(0, 1e200), at(0))
     answers = [end.tick(k, at(k), STILL) for k in range(50)]
     assert end.force_failed is None
     assert all(abs(answer.force[0]) <= 5.0 for answer in answers)
-    assert all(answer.datagram is not None for answer in answers)
-    assert isinstance(decode(answers[-1].datagram or b"", 1), Packet)
-
-
-def test_without_keys_a_forged_farewell_with_the_right_session_number_stops_the_run() -> None:
-    """It fails towards zero force: what an end does when the other leaves is to let go."""
-    end = met(WATCHED)["s"]
-    assert end.receive(control(Kind.BYE, "emergency stop"), at(0)) == []
-    assert end.session.farewell == "emergency stop"
+    assert all(isinstance(decode(answer.datagram or b"", 1), Packet) for answer in answers)
 
 
 def test_a_mirror_on_the_link_changes_nothing_of_a_run(plain: Both) -> None:
@@ -193,20 +182,7 @@ def test_a_mirror_on_the_link_changes_nothing_of_a_run(plain: Both) -> None:
     assert dict(both.ends["s"].rejected) == {"direction": WATCHED.ticks - 1}
 
 
-def test_with_keys_a_record_that_is_thrown_back_at_its_sender_is_dropped_by_the_tunnel(
-    associated: Callable[[], Any]
-) -> None:
-    """The two ways of an association have keys of their own."""
-    master, slave = associated()
-    for end, other in ((master, slave), (slave, master)):
-        record = end.send(b"forth")
-        assert record is not None
-        assert end.receive(record, 0)[0] == []
-        assert sum(end.dropped.values()) == 1
-        assert other.receive(record, 0)[0] == [b"forth"], "and it was a good one"
-
-
-def test_packets_for_later_do_not_keep_honest_ones_out() -> None:
+def test_packets_for_later_keep_no_honest_ones_out_but_where_a_second_has_more_ticks_than_the_inbox_room() -> None:
     """No more than one of each number, and none of them further ahead than the watchdog's timeout."""
     end = met(WATCHED)["s"]
     for i in range(1000):
@@ -214,18 +190,14 @@ def test_packets_for_later_do_not_keep_honest_ones_out() -> None:
     assert ticks(end, range(1, 60), lambda k: [data(k - 1)]) == list(range(59))
     inbox: Any = end.inbox
     assert (inbox.refused, inbox.duplicates) == (0, 1000)
-
-
-def test_without_keys_packets_for_later_fill_the_inbox_where_a_second_has_more_ticks_than_it_has_room() -> None:
-    fast = scene(link=LINK, dt=1e-4, duration=0.1)
-    end, tick = met(fast)["s"], 100_000
+    end, tick = met(scene(link=LINK, dt=1e-4, duration=0.1))["s"], 100_000
     for seq in range(100, 9000):
         end.receive(data(seq, 0.0), START)
     played = []
     for k in range(1, 400):
         end.receive(data(k - 1), START + k * tick)
         played.append(end.tick(k, START + k * tick, STILL).played)
-    inbox: Any = end.inbox
+    inbox = end.inbox
     assert inbox.refused > 3000
     assert end.rejected["early"] > 900
     assert played[100:] == list(range(100, 399)), "what was forged, each at its tick"
@@ -241,36 +213,6 @@ def test_a_forged_time_of_sending_is_no_round_trip_and_changes_nothing_of_the_ru
     assert both.ends["m"].link.rtt.count == 0
     assert plain.ends["m"].link.rtt.count > 300
     assert both.ends["s"].session.start_ns == START
-
-
-def test_without_keys_numbers_that_climb_are_believed_no_further_than_a_timeout_ahead(plain: Both) -> None:
-    """Not from the newest one that came, so none of them is a step for the next."""
-    climb = [("s", data(seq)) for seq in range(1000, 6000, 1000)]
-    both = Both(WATCHED, intruder=lambda k, _both: climb if k == 50 else []).run()
-    assert both.rows == plain.rows
-    assert dict(both.ends["s"].rejected) == {"early": 5}
-    assert both.ends["s"].link.way.count == plain.ends["s"].link.way.count
-
-
-def test_without_keys_a_stranger_who_starts_a_session_has_the_slave_as_long_as_he_sends_messages() -> None:
-    slave = Endpoint(WATCHED, "s", Session(master=False, manifest=MANIFEST))
-    ours = Session(master=True, manifest=MANIFEST, number=OURS).due(0)[0]
-    slave.receive(Session(master=True, manifest=MANIFEST, number=OTHER).due(0)[0], START)
-    slave.receive(control(Kind.START, START, OTHER, echo=Echo(START, 0)), START)
-    assert slave.session.number == OTHER
-    for i in range(10):
-        now = START + i * RENEW_NS // 2
-        slave.receive(data(i * 500, session=OTHER), now)
-        slave.tick(i * 500, now, STILL)
-        assert slave.receive(ours, now) == []
-        assert slave.receive(ours, now + RENEW_NS // 4) == []
-    assert slave.receive(ours, now + RENEW_NS + 1)
-
-
-def test_without_keys_a_stranger_who_asks_for_another_run_sends_a_waiting_slave_home() -> None:
-    slave = Endpoint(WATCHED, "s", Session(master=False, manifest=MANIFEST))
-    slave.receive(control(Kind.HELLO, {"scene": "mine"}, OTHER), 0)
-    assert slave.session.failure is not None
 
 
 @pytest.mark.parametrize("again", [True, False], ids=["started anew", "running"])
@@ -295,8 +237,77 @@ def test_a_recorded_session_cannot_be_played_to_a_slave_be_it_started_anew_or_ru
     assert ticks(slave, range(1, 101), lambda k: [plain.sent["m"][k - 1]]) == [-1] * 100
 
 
+# The eight communication faults of IEC 61784-3, each met by its measure
 
-def test_a_master_is_not_stopped_by_a_forged_clock() -> None:
-    master = Endpoint(WATCHED, "m", Session(master=True, manifest=MANIFEST, number=OURS))
-    for _ in range(ROUNDS):
-        master.receive(control(Kind.WELCOME, MANIFEST, sent_ns=2**63 - 1, echo=Echo(-(2**63), 0)), START)
+
+class Fault(NamedTuple):
+    """What happens to packets 150 to 249 of either way, and what the end that gets them makes of it."""
+
+    change: Change
+    count: Callable[[Endpoint], int]
+    counted: int
+    falls: bool = False  # does the watchdog let go
+    changes: bool = False  # is there any trace of it in the run
+    playout: Playout = Zero()
+
+
+def of_inbox(name: str) -> Callable[[Endpoint], int]:
+    return lambda end: int(getattr(end.inbox, name))
+
+
+def rejected(cause: str) -> Callable[[Endpoint], int]:
+    return lambda end: end.rejected[cause]
+
+
+def beside(datagram: Callable[[int, str], bytes]) -> Change:
+    return lambda e, k, good: [(10, datagram(k, e)), (10, good)]
+
+
+FAULTS = {  # by name; behind each its measure
+    "corruption": Fault(  # CRC-32 over all of the packet; with keys the seal
+        lambda _e, k, good: [(10, good[: k % 60] + bytes([good[k % 60] ^ 1]) + good[k % 60 + 1 :])],
+        lambda end: sum(end.rejected.values()), 100, falls=True, changes=True),
+    "repetition": Fault(  # a window of the numbers that came
+        lambda _e, _k, good: [(10, good), (10, good), (40, good)], of_inbox("duplicates"), 200),
+    "wrong sequence": Fault(  # sequence numbers; the numbers played only grow
+        lambda _e, k, good: [(10 if k % 2 else 13, good)], of_inbox("overtaken"), 50, changes=True),
+    "loss": Fault(  # the watchdog
+        lambda _e, _k, _good: [], of_inbox("received"), WATCHED.ticks - 10 - 100, falls=True, changes=True),
+    "delay": Fault(  # a fixed playout, and the watchdog
+        lambda _e, _k, good: [(110, good)], of_inbox("late"), 100, falls=True, changes=True, playout=Fixed(0.015)),
+    "insertion": Fault(  # the session number; with keys the seal
+        beside(lambda k, e: data(k, 50.0, to=e, session=OTHER)), rejected("session"), 100),
+    "masquerade": Fault(  # the session number; with keys the pinned certificate
+        beside(lambda k, _e: control(*TAKEOVER[k % len(TAKEOVER)], session=OTHER)), rejected("session"), 100),
+    "wrong address": Fault(  # the socket keeps to its peer; the length of the law's message, the session number
+        beside(lambda k, e: data(k, payload=(1.0, 2.0), to=e, session=OTHER)), rejected("malformed"), 100),
+}
+
+
+@cache
+def honest_run(playout: Playout) -> Both:
+    return handed_on(untouched, replace(WATCHED, playout=playout))
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_of_iec_61784_3_meets_its_measure(name: str) -> None:
+    fault = FAULTS[name]
+    kept = replace(WATCHED, playout=fault.playout)
+    both = handed_on(lambda e, k, good: (fault.change if 150 <= k < 250 else untouched)(e, k, good), kept)
+    honest = honest_run(fault.playout)
+    assert (both.rows != honest.rows) is fault.changes
+    for e in "ms":
+        assert fault.count(both.ends[e]) == fault.counted
+        assert all(isfinite(force) for force, in both.held[e])
+        numbers = [number for number in both.played[e] if number >= 0]
+        assert set(numbers) <= set(honest.played[e])
+        assert all(one < other for one, other in pairwise(numbers))
+        assert both.played[e][-100:] == honest.played[e][-100:]  # and it is over when it is over
+        gain = both.gains(e)
+        assert bool(gain.min() == 0.0) is fault.falls
+        assert gain[-1] == 1.0
+        if fault.falls:
+            assert not {*range(150, 250)} & set(numbers)
+            assert all(both.held[e][k] == (0.0,) for k in np.flatnonzero(gain == 0.0))
+        else:
+            assert gain.min() == 1.0

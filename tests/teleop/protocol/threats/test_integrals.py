@@ -56,12 +56,6 @@ def test_a_message_that_does_not_add_up_is_counted_and_as_one_that_was_lost() ->
     assert both.trace()["E_link"].min() > -1e-9
 
 
-def test_a_time_far_ahead_stopped_the_play_of_all_that_came_after_it() -> None:
-    both = lying(lambda told, _k: told._replace(T=told.T + 1e9), range(100, 101))
-    x = [np.array(each.trace()["x_s"]) for each in (both, lying(None, range(0)))]
-    assert np.abs(x[0] - x[1])[-1] < 0.02 * np.ptp(x[1])
-
-
 def test_whose_messages_never_add_up_is_as_one_that_is_silent() -> None:
     both = lying(lambda told, _k: told._replace(T=2.0 * told.T), range(100, 400))
     assert both.ends["s"].rejected == {"integrals": WATCHED.ticks - 110}
@@ -117,28 +111,19 @@ def test_no_honest_message_is_refused_of_ends_that_stand_still_are_cut_off_or_be
 
     def settled() -> None:
         world.run(0.1)
-        assert world.until_both_play(6.0) < 6.0
-        world.run(0.5)
+        world.assert_both_play()
         for e in "ms":
             assert world.end(e).received > 0
             assert not world.end(e).rejected["integrals"]
 
     settled()
     for e, away in (("s", 0.05), ("m", 0.3), ("s", 1.5)):
-        world.pause(e, True)
-        world.run(away)
-        world.pause(e, False)
+        world.stand_still(e, away)
         settled()
-    world.cut = {"m", "s"}
-    world.run(2.0)
-    world.cut = set()
+    world.cut_off("ms", 2.0)
     settled()
     for who in ("m", "s", "ms"):
-        for e in who:
-            world.kill(e)
-        world.run(0.7)
-        for e in who:
-            world.start(e)
+        world.restart(who, 0.7)
         settled()
 
 
