@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from channel.relay import MOST_FLOWS, QUIET_NS, UNMET_MOST, UNMET_NS
-from channel.router import EACH_MOST
+from channel.router import EACH_MOST, SLOT_NS, Cookies
 from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
-from teleop.protocol.secure.dtls_record import MTU
+from teleop.protocol.secure.dtls_record import MTU, records
 from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
 from tests.channel.site import MANIFEST, MASTER, MS, OTHER_HOME, SLAVE, UNKNOWN, Site, hello, request, sealed
@@ -166,7 +166,7 @@ def test_two_thousand_hellos_a_second_without_a_cookie_keep_no_master_out_and_no
     assert site.now == began, "it waits for no turn"
 
 
-def test_a_cookie_is_good_for_its_address_and_its_handshake_alone() -> None:
+def test_a_cookie_is_good_for_its_address_its_handshake_and_its_relay_alone_and_runs_out() -> None:
     site = Site()
     data = site.asks(random=b"r" * 32)
     cookie = data[-32:]
@@ -176,6 +176,11 @@ def test_a_cookie_is_good_for_its_address_and_its_handshake_alone() -> None:
     late = Site()
     late.now += 3_600_000 * MS
     assert not late.takes(data, MASTER)
+    cookies, record = Cookies(b"k" * 32), (records(hello(1)) or [])[0]
+    cookie = cookies.of(record, MASTER, 0)
+    assert cookies.is_good(cookie, record, MASTER, SLOT_NS)
+    assert not cookies.is_good(cookie, record, MASTER, 2 * SLOT_NS)
+    assert not Cookies(b"l" * 32).is_good(cookie, record, MASTER, 0)
 
 
 def test_masters_that_showed_their_addresses_have_a_port_each_towards_the_slave() -> None:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from random import Random
-from typing import Any
 
 import pytest
 
+from channel.link import parse_link
+from channel.schedule import Stream
 from teleop.protocol.secure.association import LIMIT_NS, Association
-from teleop.protocol.secure.dtls_record import HEAD, MTU, Dropped, records
-from teleop.protocol.secure.gate import CHECKED_NS, MOST_BEGUN, Gate, is_for_gate
+from teleop.protocol.secure.context import Verifier
+from teleop.protocol.secure.dtls_record import HEAD, MTU, Dropped, DtlsRecord, records
+from teleop.protocol.secure.gate import BURST, CHECK_NS, CHECKED_NS, MOST_BEGUN, Gate, is_for_gate
 from teleop.protocol.secure.keys import Key
+from teleop.protocol.secure.secure_link import SecureLink
+from tests.fakes import usually
+from tests.teleop.protocol.secure.conftest import AT, HOME, MS, SECRET, SLAVE
 
-MS = 1_000_000
 S = 1000 * MS
-AT, ELSEWHERE = ("192.0.2.1", 4000), ("192.0.2.1", 4001)
-SECRET = bytes(range(32))
+ELSEWHERE = ("192.0.2.1", 4001)
 
 
 @pytest.fixture
@@ -58,13 +62,16 @@ def let_in(gate: Gate, begun: tuple[Association, bytes], at: tuple[str, int] = A
 
 
 class TestAStranger:
-    def test_gets_a_cookie_shorter_than_its_hello_and_is_forgotten(self, gate: Gate, master: Master) -> None:
+    def test_gets_a_cookie_shorter_than_its_hello_by_the_gates_secret_alone_and_is_forgotten(
+        self, gate: Gate, master: Master, keys: list[Key]
+    ) -> None:
         hello = master()[1]
         for port in range(500):
             let, back = gate.receive(hello, ("198.51.100.7", port), port)
             assert let is None
             assert [len(data) for data in back] == [60]
         assert gate._begun == {}
+        assert Gate(keys[1], keys[0].fingerprint, SECRET).receive(hello, AT, 0) == gate.receive(hello, AT, 0)
 
     def test_no_answer_is_longer_than_the_question_whatever_is_asked(self, gate: Gate, master: Master) -> None:
         dice = Random(1)
@@ -111,15 +118,16 @@ class TestAStranger:
             assert [len(reply) for reply in where.receive(data, AT, now)[1]] == [60]
         assert len(gate.receive(hello, AT, 30 * S)[1][0]) > 500
 
-    def test_whose_hello_is_damaged_costs_nothing(self, gate: Gate, master: Master) -> None:
+    def test_whose_hello_is_damaged_or_proved_by_another_costs_nothing(self, gate: Gate, master: Master) -> None:
         hello = with_cookie(gate, master())
         said, proof = records(hello)  # type: ignore[misc]
         cut = said.data[:-20]
         cut = cut[:11] + (len(cut) - 13).to_bytes(2, "big") + cut[13:]
-        assert gate.receive(cut + proof.data, AT, 0) == (None, [])
-        assert gate.receive(said.data, AT, CHECKED_NS) == (None, [])
+        theirs = records(with_cookie(gate, master()))[1]  # type: ignore[index]
+        for i, data in enumerate((cut + proof.data, said.data, (said.data + theirs.data).ljust(MTU, b"\0"))):
+            assert gate.receive(data, AT, i * CHECKED_NS) == (None, [])
         assert gate._begun == {}
-        assert gate.dropped == {Dropped.FORGED: 1, Dropped.UNPROVED: 1}
+        assert gate.dropped == {Dropped.FORGED: 2, Dropped.UNPROVED: 1}
 
     def test_with_a_good_cookie_and_any_byte_of_hello_or_proof_changed_begins_nothing(
         self, gate: Gate, master: Master
@@ -135,27 +143,16 @@ class TestAStranger:
         assert gate._begun == {}
         assert len(gate.receive(hello, AT, len(inside) * CHECKED_NS)[1][0]) > 500
 
-    def test_with_the_proof_of_another_hello_begins_nothing(self, gate: Gate, master: Master) -> None:
-        (own, _), (_, theirs) = (records(with_cookie(gate, master())) for _ in range(2))  # type: ignore[misc]
-        assert gate.receive((own.data + theirs.data).ljust(MTU, b"\0"), AT, 0) == (None, [])
-        assert gate.dropped == {Dropped.FORGED: 1}
-
-    def test_is_told_of_a_certificate_that_is_not_the_pinned_one(self, gate: Gate, keys: list[Key]) -> None:
+    def test_that_shows_its_own_certificate_first_is_told_and_keeps_the_pinned_master_out_for_no_time(
+        self, gate: Gate, master: Master, keys: list[Key]
+    ) -> None:
         stranger = Association.towards(keys[2], keys[1].fingerprint, 0)
-        begun = stranger, stranger.begin(0)[0]
-        (alert,) = gate.receive(with_cookie(gate, begun), AT, 0)[1]
+        (alert,) = gate.receive(with_cookie(gate, (stranger, stranger.begin(0)[0])), AT, 0)[1]
         assert len(alert) == 15
         stranger.receive(alert, 0)
         assert "does not take this end's certificate" in (stranger.hint or "")
         assert keys[2].fingerprint in (gate.refused or "")
         assert gate._begun == {}
-
-    def test_that_shows_its_own_certificate_first_keeps_the_pinned_master_out_for_no_time(
-        self, gate: Gate, master: Master, keys: list[Key]
-    ) -> None:
-        stranger = Association.towards(keys[2], keys[1].fingerprint, 0)
-        gate.receive(with_cookie(gate, (stranger, stranger.begin(0)[0])), AT, 0)
-        assert gate.refused is not None
         assert let_in(gate, master(), ELSEWHERE).ready
 
     def test_data_and_alerts_are_not_for_the_gate(self) -> None:
@@ -182,12 +179,6 @@ class TestThePeer:
         assert gate.receive(hello, AT, S) == (None, [])
         assert gate.receive(proof, AT, S) == (None, [])
 
-    def test_that_begins_anew_in_the_middle_is_not_held_up_by_its_old_attempt(
-        self, gate: Gate, master: Master
-    ) -> None:
-        gate.receive(with_cookie(gate, master()), AT, 0)
-        assert let_in(gate, master(), AT, CHECKED_NS).ready
-
     def test_that_begins_many_keeps_the_newest(self, gate: Gate, master: Master) -> None:
         hellos = [with_cookie(gate, master(), ("198.51.100.7", i)) for i in range(20)]
         for i, hello in enumerate(hellos):
@@ -198,16 +189,159 @@ class TestThePeer:
         gate.receive(again, AT, 2 * LIMIT_NS)
         assert [*gate._begun] == [AT]
 
-    def test_comes_in_after_a_handshake_of_its_own_that_failed(self, gate: Gate, master: Master) -> None:
+    def test_comes_in_after_a_handshake_of_its_own_that_failed_or_is_in_the_middle(
+        self, gate: Gate, master: Master
+    ) -> None:
         """A record in the clear that anybody has sent from its address has broken it."""
         (flight,) = gate.receive(with_cookie(gate, first := master()), AT, 0)[1]
         (proof,) = first[0].receive(flight, 0)[1]
         gate.receive(proof[:40] + bytes((proof[40] ^ 1,)) + proof[41:], AT, 0)
         assert gate._begun == {}
-        assert let_in(gate, master(), AT, CHECKED_NS).ready
+        gate.receive(with_cookie(gate, master(), AT, CHECKED_NS), AT, CHECKED_NS)
+        assert let_in(gate, master(), AT, 2 * CHECKED_NS).ready
 
 
-def test_what_a_gate_says_depends_on_its_secret_and_nothing_hidden(keys: list[Key], master: Master) -> None:
-    hello = master()[1]
-    replies: list[Any] = [Gate(keys[1], keys[0].fingerprint, SECRET).receive(hello, AT, 0) for _ in range(2)]
-    assert replies[0] == replies[1]
+# A pinned master that calls while others without its key keep a listening end busy, in virtual time
+
+
+RATE = 1000  # hostile datagrams a second
+PORTS = 64
+Where = tuple[str, int]
+
+
+class Hostile:
+    """An attacker without the key: it asks for cookies, brings them back, and has seen what the master once sent."""
+
+    def __init__(self, keys: list[Key], addresses: list[Where], seen: bytes, seed: int) -> None:
+        self.keys, self.addresses, self.seen, self.dice = keys, addresses, seen, Random(seed)
+        self.hellos: deque[tuple[Where, bytes]] = deque(maxlen=2000)  # with good cookies, each at its address
+        self.calls: dict[Where, Association] = {}
+
+    def shot(self, slave: SecureLink, now: int) -> None:
+        """One datagram to the slave, and what it answers."""
+        kind = self.dice.randrange(5) if self.hellos else 0
+        address, hello = self.dice.choice(self.hellos) if kind else (self.dice.choice(self.addresses), b"")
+        data = {1: hello, 2: self._borrowed(hello), 3: self._forged(hello), 4: self._last(hello)}.get(kind)
+        if data is None:
+            call = self.calls[address] = Association.towards(self.keys[2], self.keys[1].fingerprint, now)
+            (data,) = call.begin(now)
+        for reply, at in slave.receive(data, address, now)[1]:
+            for again in self.calls[at].receive(reply, now)[1] if at in self.calls else []:
+                found = records(again)
+                if found is not None and found[0].is_hello:
+                    self.hellos.append((at, again))
+
+    def _borrowed(self, hello: bytes) -> bytes:
+        """With everything behind the hello that the master once sent."""
+        return b"".join(one.data for one in _parts(hello)[:1] + _parts(self.seen)[1:]).ljust(MTU, b"\0")
+
+    def _forged(self, hello: bytes) -> bytes:
+        """The same, its last bytes others each time."""
+        return self._borrowed(hello).rstrip(b"\0")[:-8] + self.dice.randbytes(8)
+
+    def _last(self, hello: bytes) -> bytes:
+        """A record in the clear that belongs into the middle of a handshake."""
+        return HEAD.pack(22, 0xFEFD, 0, 0, self.dice.randrange(1 << 16), 40) + self.dice.randbytes(40)
+
+
+def _parts(datagram: bytes) -> list[DtlsRecord]:
+    return records(datagram) or []
+
+
+def seen_once(keys: list[Key]) -> bytes:
+    """The hello with its cookie by which the pinned master came in at another time."""
+    master = Association.towards(keys[0], keys[1].fingerprint, 0)
+    slave = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(reversed(range(32))))
+    ((cookie, _),) = slave.receive(master.begin(0)[0], HOME, 0)[1]
+    return master.receive(cookie, 0)[1][0]
+
+
+class Flooded:
+    """A slave under fire from the beginning, and a master that calls it after a second."""
+
+    def __init__(
+        self, keys: list[Key], addresses: list[Where], seed: int, *, rate: int = RATE, link: str = "delay(0.05)",
+        is_observed: bool = False,
+    ) -> None:
+        self.slave = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(range(32)))
+        self.hostile = Hostile(keys, addresses, seen_once(keys), seed)
+        self.most_begun = 0
+        master = SecureLink.calling(keys[0], keys[1].fingerprint, SLAVE)
+        ways = [Stream(parse_link(link), way, seed, MTU) for way in (0, 1)]
+        self.took: float | None = None  # from the master's first hello until both ends were ready, s
+        for ms in range(8000):
+            now = ms * MS + self.hostile.dice.randrange(MS)
+            shots = [ms * MS + self.hostile.dice.randrange(MS) for _ in range(rate // 1000)]
+            self._fire(at for at in shots if at <= now)
+            if ms >= 1000:
+                self._call(master, ways, now, is_observed=is_observed)
+            self._fire(at for at in shots if at > now)
+            self.most_begun = max(self.most_begun, len(self.gate._begun))
+            if master.ready and self.slave.ready:
+                self.took = (ms - 1000) / 1000
+                break
+
+    def _fire(self, shots: Iterable[int]) -> None:
+        for at in sorted(shots):
+            self.hostile.shot(self.slave, at)
+
+    def _call(self, master: SecureLink, ways: list[Stream], now: int, *, is_observed: bool) -> None:
+        """What goes to and fro between the two ends; `is_observed`: each of the master's datagrams comes twice."""
+        for data, _ in master.due(now):
+            ways[0].send(ways[0].sent, now, data)
+        for came in ways[0].deliver(now):
+            for data in [came.load, came.load] if is_observed else [came.load]:
+                for reply, at in self.slave.receive(data, HOME, now)[1]:
+                    if at == HOME:
+                        ways[1].send(ways[1].sent, now, reply)
+        for came in ways[1].deliver(now):
+            for data, _ in master.receive(came.load, SLAVE, now)[1]:
+                ways[0].send(ways[0].sent, now, data)
+
+    @property
+    def gate(self) -> Gate:
+        gate = self.slave._gate
+        assert gate is not None
+        return gate
+
+
+PORTS_OF_ONE = [("198.51.100.7", 10_000 + i) for i in range(PORTS)]
+THOUSANDS = [(f"198.51.{i % 256}.{i % 199}", 1024 + i) for i in range(3000)]
+THOUSANDS += [(HOME[0], HOME[1] + 1 + i) for i in range(3000)]  # and of the master's own host
+
+
+@usually("kind, seed", [(kind, seed) for kind in ("one", "lossy", "thousands", "observed") for seed in range(8)],
+         ("one", 0), ("lossy", 1), ("thousands", 2), ("observed", 3))
+def test_a_sender_without_the_key_does_not_keep_the_pinned_master_out(keys: list[Key], kind: str, seed: int) -> None:
+    """500 datagrams a second with cookies that were used before did: they filled every place for a handshake.
+
+    Nor where the link loses datagrams besides, nor with thousands of addresses: what an end that listens remembers of
+    them is bounded, and so is the time that it gives to their signatures. Nor by a copy of each of the master's own
+    datagrams from the master's address: it does not use up the cookie.
+    """
+    flood = Flooded(keys, THOUSANDS if kind == "thousands" else PORTS_OF_ONE, seed, is_observed=kind == "observed",
+                    link="delay(0.04) | uniform(0.02) | bernoulli(0.1)" if kind == "lossy" else "delay(0.05)",
+                    rate=2 * RATE if kind == "thousands" else RATE)
+    assert flood.took is not None
+    assert flood.took < 3.0
+    if kind != "lossy":
+        assert flood.most_begun <= 1  # the master's own
+    if kind == "thousands":
+        assert len(flood.gate._checked) <= BURST + CHECKED_NS // CHECK_NS
+        assert len(flood.gate._used) == 1
+
+
+def test_signatures_that_are_looked_at_are_bounded_in_time(keys: list[Key], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each costs 0.1 ms, whoever sent it: a tenth of the processor at most goes into them."""
+    looked: list[int] = []
+    look = Verifier.is_good
+    monkeypatch.setattr(Verifier, "is_good", lambda self, *a: (looked.append(1), look(self, *a))[1])
+    slave = SecureLink.listening(keys[1], keys[0].fingerprint, bytes(32))
+    hostile = Hostile(keys, [(f"198.51.100.{i % 200}", 1024 + i) for i in range(300)], seen_once(keys), 1)
+    while len({at for at, _ in hostile.hellos}) < 200:
+        hostile.shot(slave, 0)
+    looked.clear()
+    for i in range(4000):
+        at, hello = hostile.dice.choice(hostile.hellos)
+        slave.receive(hostile._forged(hello), at, S + i * MS // 20)
+    assert 0 < len(looked) <= BURST + S // 5 // CHECK_NS

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import subprocess
 import traceback
 from collections.abc import Callable
-from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from master.__main__ import main as master_main
 from slave.__main__ import main as slave_main
 from teleop.errors import Refused
 from teleop.protocol.secure import keys
-from teleop.protocol.secure.keys import Key, fingerprint, keygen, load_key, parse_fingerprint
+from teleop.protocol.secure.keys import fingerprint, keygen, load_key, parse_fingerprint
 
 
 @pytest.fixture
@@ -37,31 +37,44 @@ def _private_text(path: Path) -> str:
     return "".join(path.read_text().split("-----")[2].split())
 
 
+def text_of(private: Any, locked: Any = NoEncryption()) -> str:  # noqa: B008 - it has no state
+    return str(private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, locked).decode())
+
+
 class TestMaking:
-    def test_the_file_is_its_owners_alone_whatever_the_umask(self, tmp_path: Path) -> None:
+    def test_the_file_is_its_owners_alone_whatever_the_umask_and_beside_a_folder_of_its_name(
+        self, tmp_path: Path
+    ) -> None:
+        """There are folders `master` and `slave` where the two ends' keys are made first: those of the packages."""
+        (tmp_path / "slave").mkdir()
         before = os.umask(0)
         try:
-            path, _ = keygen(tmp_path / "hand")
+            path, _ = keygen(tmp_path / "slave")
         finally:
             os.umask(before)
-        assert path == tmp_path / "hand.key"
+        assert path == tmp_path / "slave.key"
         assert path.stat().st_mode & 0o777 == 0o600
 
-    def test_the_fingerprint_is_the_sha_256_of_the_certificate(self, made: tuple[Path, str]) -> None:
+    def test_the_fingerprint_is_the_sha_256_of_the_certificate_and_two_keys_differ_in_all_but_their_name(
+        self, made: tuple[Path, str], tmp_path: Path
+    ) -> None:
         path, printed = made
         certificate = load_pem_x509_certificate(path.read_bytes())
         assert printed.replace("-", "") == sha256(certificate.public_bytes(Encoding.DER)).hexdigest()
-        assert load_key(path).fingerprint == printed
+        one, two = load_key(path), load_key(keygen(tmp_path / "two")[0])
+        assert one.fingerprint == printed != two.fingerprint
+        assert one.certificate.subject == two.certificate.subject
+        assert one.certificate.serial_number != two.certificate.serial_number
 
-    def test_a_key_that_is_there_is_never_overwritten(self, made: tuple[Path, str]) -> None:
+    def test_a_key_that_is_there_is_never_overwritten_nor_anything_else_of_that_name_nor_what_a_link_leads_to(
+        self, made: tuple[Path, str], tmp_path: Path
+    ) -> None:
         path, printed = made
         before = path.read_bytes()
         for name in (path, path.with_suffix("")):
             with pytest.raises(Refused, match=f"never overwritten; its fingerprint is {printed}"):
                 keygen(name)
         assert path.read_bytes() == before
-
-    def test_neither_is_anything_else_of_that_name_nor_what_a_link_of_it_leads_to(self, tmp_path: Path) -> None:
         (tmp_path / "notes.key").write_text("mine")
         (tmp_path / "link.key").symlink_to(tmp_path / "nowhere")
         for name in ("notes", "link"):
@@ -69,11 +82,6 @@ class TestMaking:
                 keygen(tmp_path / name)
         assert (tmp_path / "notes.key").read_text() == "mine"
         assert not (tmp_path / "nowhere").exists()
-
-    def test_a_folder_of_the_same_name_does_not_take_it_in(self, tmp_path: Path) -> None:
-        """There are folders `master` and `slave` where the two ends' keys are made first: those of the packages."""
-        (tmp_path / "slave").mkdir()
-        assert keygen(tmp_path / "slave")[0] == tmp_path / "slave.key"
 
     def test_on_a_full_disk_nothing_is_left(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def full(_: int) -> None:
@@ -84,91 +92,71 @@ class TestMaking:
             keygen(tmp_path / "hand")
         assert list(tmp_path.iterdir()) == []
 
-    def test_two_keys_differ_in_all_but_the_name_on_them(self, tmp_path: Path) -> None:
-        one, two = (load_key(keygen(tmp_path / name)[0]) for name in ("one", "two"))
-        assert one.fingerprint != two.fingerprint
-        assert one.certificate.subject == two.certificate.subject
-        assert one.certificate.serial_number != two.certificate.serial_number
-
 
 class TestReading:
-    def test_a_file_that_others_may_read_or_change_is_refused_and_a_stricter_mode_will_do(
-        self, made: tuple[Path, str]
+    def test_a_file_that_others_may_read_or_change_or_that_another_user_owns_is_refused_and_so_is_a_pipe(
+        self, made: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
+        """Its owner could read the key and put another in its place. A stricter mode will do."""
         for mode in (0o640, 0o604, 0o620, 0o602, 0o610, 0o644, 0o777):
             made[0].chmod(mode)
             with pytest.raises(Refused, match="chmod 600"):
                 load_key(made[0])
         made[0].chmod(0o400)
         assert load_key(made[0]).fingerprint == made[1]
-
-    def test_a_file_that_another_user_owns_is_refused_whatever_its_mode(
-        self, made: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """Its owner could read the key and put another in its place."""
+        os.mkfifo(tmp_path / "pipe.key", 0o600)
+        with pytest.raises(Refused, match="is no file"):
+            load_key(tmp_path / "pipe.key")
         owner = made[0].stat().st_uid
         monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
         with pytest.raises(Refused, match=f"owned by the user with the number {owner}.*sudo chown {owner + 1}"):
             load_key(made[0])
 
-    def test_a_pipe_is_refused_without_waiting_for_it(self, tmp_path: Path) -> None:
-        os.mkfifo(tmp_path / "pipe.key", 0o600)
-        with pytest.raises(Refused, match="is no file"):
-            load_key(tmp_path / "pipe.key")
-
-    def test_key_and_certificate_of_different_ends_are_refused(self, made: tuple[Path, str], tmp_path: Path) -> None:
-        other = keygen(tmp_path / "other")[0]
-        own, foreign = (path.read_text().split("-----BEGIN CERT") for path in (made[0], other))
-        made[0].write_text(own[0] + "-----BEGIN CERT" + foreign[1])
-        with pytest.raises(Refused, match="do not belong together"):
-            load_key(made[0])
-
-    def test_other_kinds_of_keys_are_refused(self, made: tuple[Path, str]) -> None:
-        certificate = "-----BEGIN CERT" + made[0].read_text().split("-----BEGIN CERT")[1]
-        for private in (Ed25519PrivateKey.generate(), generate_private_key(SECP384R1())):
-            text = private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
-            made[0].write_text(text + certificate)
-            with pytest.raises(Refused, match="P-256"):
+    def test_other_kinds_of_keys_and_key_and_certificate_of_different_ends_are_refused(
+        self, made: tuple[Path, str], tmp_path: Path
+    ) -> None:
+        own, certificate = made[0].read_text().split("-----BEGIN CERT")
+        foreign = keygen(tmp_path / "other")[0].read_text().split("-----BEGIN CERT")[1]
+        ed25519, locked = Ed25519PrivateKey.generate(), BestAvailableEncryption(b"password")
+        for private, certified, says in (
+            (own, foreign, "do not belong together"), (text_of(ed25519), certificate, "P-256"),
+            (text_of(generate_private_key(SECP384R1())), certificate, "P-256"),
+            (text_of(ed25519, locked), certificate, "unencrypted"),
+        ):
+            made[0].write_text(private + "-----BEGIN CERT" + certified)
+            with pytest.raises(Refused, match=says):
                 load_key(made[0])
-        locked = BestAvailableEncryption(b"password")
-        made[0].write_text(private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, locked).decode() + certificate)
-        with pytest.raises(Refused, match="unencrypted"):
-            load_key(made[0])
-
-    def test_a_damaged_file_is_refused_or_still_the_same_key(self, made: tuple[Path, str]) -> None:
-        path, expected = made
-        text = path.read_bytes()
-        for at in range(0, len(text), 11):
-            for damaged in (text[:at], text[at:], text[:at] + b"\0" + text[at + 1 :], text[at:] + text[:at]):
-                path.write_bytes(damaged)
-                with suppress(Refused):
-                    assert load_key(path).fingerprint == expected, at
 
 
 class TestSecrecy:
-    def test_a_key_shows_its_fingerprint_and_nothing_else(self, made: tuple[Path, str]) -> None:
+    def test_a_key_shows_its_fingerprint_and_nothing_else_and_is_not_pickled(self, made: tuple[Path, str]) -> None:
+        """Nor is one shown again that was pasted for a fingerprint."""
         key = load_key(made[0])
         for shown in (repr(key), str(key), f"{key}", repr([key]), repr({"key": key})):
             assert f"Key(fingerprint='{made[1]}')" in shown
             assert len(shown) < 120
         assert not hasattr(key, "__dict__")
-
-    def test_no_refusal_quotes_the_file_it_refuses(self, made: tuple[Path, str]) -> None:
-        path = made[0]
-        secret, text = _private_text(path), path.read_text()
-        for damaged in (text[:200], text.replace("\n", " "), text.replace("EVATE", "X"), secret, text * 2, text[30:]):
-            path.write_text(damaged)
-            try:
-                load_key(path)
-            except Refused as refused:
-                said = "".join(traceback.format_exception(refused))
-                assert not any(secret[i : i + 12] in said for i in range(0, len(secret), 4))
-
-    def test_a_key_pasted_for_a_fingerprint_is_not_shown_again(self, made: tuple[Path, str]) -> None:
+        with pytest.raises(TypeError):
+            pickle.dumps(key)
         secret = _private_text(made[0])
         with pytest.raises(Refused) as refused:
             parse_fingerprint(secret)
         assert secret[:12] not in str(refused.value)
+
+    def test_a_damaged_file_is_refused_or_still_the_same_key_and_no_refusal_quotes_it(
+        self, made: tuple[Path, str]
+    ) -> None:
+        path, expected = made
+        secret, text = _private_text(path), path.read_text()
+        cut = [part for at in range(0, len(text), 11) for part in (
+            text[:at], text[at:], text[:at] + "\0" + text[at + 1 :], text[at:] + text[:at])]
+        for damaged in (*cut, text.replace("\n", " "), text.replace("EVATE", "X"), secret, text * 2):
+            path.write_text(damaged)
+            try:
+                assert load_key(path).fingerprint == expected
+            except Refused as refused:
+                said = "".join(traceback.format_exception(refused))
+                assert not any(secret[i : i + 12] in said for i in range(0, len(secret), 4))
 
 
 class TestFingerprints:
@@ -183,7 +171,9 @@ class TestFingerprints:
 
 
 class TestTheCommand:
-    def test_writes_a_key_and_prints_what_the_other_end_is_told(self, typed: Callable[..., Any]) -> None:
+    def test_writes_a_key_and_prints_what_the_other_end_is_told_or_what_to_install(
+        self, typed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         answer = typed("keygen", "hand")
         key = load_key("hand.key")
         assert answer.code == 0
@@ -193,13 +183,9 @@ class TestTheCommand:
         as_json = json.loads(typed("keygen", "other", "--json").out)
         assert as_json == {"path": "other.key", "fingerprint": load_key("other.key").fingerprint}
         typed("keygen", "hand").assert_refused("never overwritten")
-
-    def test_without_the_extra_it_says_what_to_install(
-        self, typed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
         monkeypatch.setattr(keys, "find_spec", lambda _: None)
-        typed("keygen", "hand").assert_refused("pip install 'bilateral-teleop[secure]'")
-        assert not Path("hand.key").exists()
+        typed("keygen", "third").assert_refused("pip install 'bilateral-teleop[secure]'")
+        assert not Path("third.key").exists()
 
     def test_an_end_that_is_given_its_own_fingerprint_as_the_peers_is_refused(
         self, capsys: pytest.CaptureFixture[str], tmp_path: Path
@@ -238,11 +224,3 @@ class TestTheCommand:
         code = ("import sys; from teleop.__main__ import main; main(['list']); "
                 "print(sorted(set(sys.modules) & {'OpenSSL', 'cryptography', 'teleop.protocol.secure'}))")
         assert ended(process("-c", code)).out.endswith("[]\n")
-
-
-def test_a_key_cannot_be_carried_out_of_the_process_by_pickle(made: tuple[Path, str]) -> None:
-    import pickle
-
-    key: Key = load_key(made[0])
-    with pytest.raises(TypeError):
-        pickle.dumps(key)
