@@ -147,14 +147,6 @@ def test_springs_and_masses_are_active_lossless_or_passive_by_half_a_tick() -> N
             assert E.real == pytest.approx(mass * 0.3 / DT * sin(th / 2.0) ** 2, abs=1e-9 * abs(E)), name
 
 
-def test_slowly_moved_the_tool_is_its_mass_damper_and_spring() -> None:
-    w = 2.0 * pi * 0.5
-    for weights in WEIGHTS:
-        sampled = tool_impedance(weighted(SOFT, weights), cmath.exp(1j * w * 1e-6), 1e-6)
-        true = SOFT.mass * 1j * w + SOFT.damping + SOFT.d_e + SOFT.k_e / (1j * w)
-        assert sampled == pytest.approx(true, rel=1e-5)
-
-
 def linearised(law: VirtualCoupling, z: complex) -> complex:
     """F/V_hat of the law's own map in contact, by differences, which of an affine map are exact."""
     def tick(s: np.ndarray) -> np.ndarray:  # y, u, net, last reading, reading -> y, u, net, reading, force

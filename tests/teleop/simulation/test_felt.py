@@ -54,14 +54,6 @@ class TestFreeSpace:
         got = metrics(SCENE, trace(V[:, 0], 3.0 * V[:, 0]))
         assert (got["felt_mass"], got["felt_drag"]) == pytest.approx((-3.0 * DT / 2.0, 3.0), rel=1e-9)
 
-    def test_a_spring_at_a_sine_is_a_mass_below_zero(self) -> None:
-        w = 2.0 * pi * 5.0
-        x, v = 0.01 * np.sin(w * T), 0.01 * w * np.cos(w * T)
-        got = metrics(SCENE, trace(v, held(200.0 * x)))
-        assert got["felt_mass"] == pytest.approx(-200.0 / w**2, rel=1e-3)
-        assert abs(got["felt_drag"]) < 200.0 / w * w * DT
-        assert got["felt_fit"] == pytest.approx(1.0, abs=1e-3)
-
     def test_noise_that_no_motion_explains_is_told_by_the_share_that_the_fit_explains(self) -> None:
         _, mean = motion(V[:, 0])
         drag = 3.0 * mean

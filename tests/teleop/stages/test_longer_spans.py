@@ -1,14 +1,13 @@
 """Laws and stages over longer spans: a run with ticks left out at random stays near the run at full rate.
 
 Each bound is about twice what was measured at 1, 5 and 20 % of ticks left out at both ends, and the same run with the
-span ignored, as if each tick were the next one, breaks it.
+span ignored, as if each tick were the next one, breaks it: a mutant in `tests/mutants`.
 """
 
 # ruff: noqa: ARG001, ARG005 - an end takes what it is given, used or not
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -18,9 +17,6 @@ import pytest
 
 from channel import LeftOut, LeftOutTicks
 from teleop import At, BestFit, Cap, Device, Encoder, EndFit, Levant, LowPass, Scene, Watchdog, load_scene, run
-from teleop.simulation import tick as ticks_of
-from teleop.simulation.source import lines
-from teleop.stages.end import End, Run
 from teleop.stages.velocity.backward_difference import BackwardDifference
 from tests.fakes import law_of
 
@@ -97,31 +93,6 @@ def deviations(case: Case, shares: tuple[float, ...]) -> list[tuple[float, float
 def test_a_run_with_ticks_left_out_stays_near_the_run_at_full_rate(name: str, shares: tuple[float, ...]) -> None:
     for found, bound in deviations({**CASES, **STATIC}[name], shares):
         assert 0.0 < found <= bound
-
-
-def run_deaf(run: Run, e: End, k: int) -> None:
-    """`teleop.simulation.tick.run_late` with the span ignored."""
-    e.ran = k
-    e.span = run.dt
-    for stage in e.stages:
-        stage.late(run, e, 1, 1)
-    ticks_of.tick(run, e, k)
-
-
-@pytest.fixture
-def _deaf(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr(ticks_of, "run_late", run_deaf)
-    lines.cache_clear()
-    yield
-    lines.cache_clear()
-
-
-@pytest.mark.usefixtures("_deaf")
-@pytest.mark.parametrize(("name", "shares"), [
-    ("observer", SHARES[2:]), *[pytest.param(name, SHARES, marks=pytest.mark.full) for name in CASES]])
-def test_with_the_span_ignored_it_does_not(name: str, shares: tuple[float, ...]) -> None:
-    for found, bound in deviations(CASES[name], shares):
-        assert found > bound
 
 
 # Stages that count ticks, to the bit

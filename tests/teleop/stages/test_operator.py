@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from channel import LeftOut, parse_link
+from channel import LeftOut
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop import At, Cap, Device, MassDamper, Operator, Reading, Refused, Scene, Watchdog, Wave, load_scene, run
+from teleop import At, Cap, Device, MassDamper, Operator, Reading, Refused, Scene, Watchdog, load_scene, run
 from teleop.analysis.models.linear import linear_scene
 from teleop.laws.four_channel import FourChannel
 from teleop.laws.pp import PositionPosition
@@ -80,14 +80,6 @@ def test_the_work_at_the_device_is_that_at_the_laws_port_whatever_the_switches_d
     assert np.ptp(device) > 1e-3, "there was work"
     assert np.abs(np.diff(device) - np.diff(law)).max() <= 1e-16
     assert np.abs(device - law).max() <= 1e-14
-
-
-def test_a_passive_law_stays_so_under_a_switch_that_bounces() -> None:
-    """Of waves, whose ports and link never give out more than they took up."""
-    opened = scene(Operator(clutch=bouncing(3), ramp=0.01), Wave(b=5.0, K=500.0, B=5.0))
-    trace = run(replace(opened, link=parse_link("delay(0.02) | uniform(0.01) | bernoulli(0.1)"))).trace
-    assert trace["E_link"].min() >= -1e-12
-    assert trace["E_port"].min() >= -1e-4  # what the hold of a damper's force over a tick makes, see teleop.law
 
 
 # What the law is told, and what the device holds
