@@ -20,6 +20,7 @@ from teleop.sweeps.pictures.report import knob_units, told_of, words_of
 from teleop.sweeps.store import Store
 from teleop.terminal.plotting import RED, SKY
 from tests.teleop.report.read_page import SVG, Page, curves, frames, texts
+from tests.teleop.studies.compare.test_command import SMALL
 
 pytest.importorskip("matplotlib")
 
@@ -206,22 +207,6 @@ class TestASweep:
         assert "No figure: " in shown.text
 
 
-SMALL = """
-seeds = 1
-set = {x_limit = 0.3}
-[[link]]
-name = "10 ms"
-link = "delay(0.01)"
-[[link]]
-name = "200 ms"
-link = "delay(0.2)"
-[[environment]]
-name = "tissue"
-scene = "soft_tissue"
-set = {duration = 0.4}
-"""
-
-
 def titles(page: Page) -> list[str | None]:
     return [figure.findtext(f"{SVG}title") for figure in page.figures]
 
@@ -239,7 +224,7 @@ def test_of_a_comparison_has_its_table_and_a_map_of_how_cases_ended_and_nothing_
     assert compared.split("\n\n")[1] == typed("report", "runs/small").out.split("\n\n")[1]  # the table
     shown = of("runs/small")
     assert titles(shown)[0] == "How the cases ended"
-    assert "200 ms" in {*texts(shown.figures[0])}
+    assert {"10 ms", "loss"} <= {*texts(shown.figures[0])}
     assert {"wave", "direct", "tracking error"} <= {*shown.texts}
     for option in (("--plot",), ("--rows", "3"), ("--metric", "x_err_rms")):
         typed("report", "runs/small", *option).assert_refused("holds a comparison", option[0], "teleop compare")

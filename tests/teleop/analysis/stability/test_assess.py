@@ -318,13 +318,13 @@ class TestVirtualTime:
 
 
 class TestTheCommand:
-    def test_says_verdict_mode_and_margins(self, typed: Typed) -> None:
+    def test_says_verdict_mode_and_margins_and_with_json_is_one_object(
+        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--continuous")
         assert (answer.code, answer.err) == (0, "")
         for words in ("unstable: 2 roots outside", "grows", "50 + 50 = 100 ticks", "29 ticks", "dB", "28.788 ms"):
             assert words in answer.out
-
-    def test_with_json_is_one_object(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(report, "PLACES", 5)
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--critical", "k_e", "--json")
         told = json.loads(answer.out)

@@ -138,37 +138,33 @@ class TestTheOpenLoop:
         assert np.sort(np.abs(all_three.L), axis=1)[:, 0] == pytest.approx(np.abs(one.L[:, 0]), rel=1e-6, abs=1e-9)
         assert all_three.phase_margin == pytest.approx(one.phase_margin, abs=1e-6)
 
-    def test_of_an_unstable_loop_has_no_phase_margin(self) -> None:
+    def test_of_an_unstable_loop_has_no_phase_margin_and_of_a_force_that_is_renewed_slowly_there_is_none(self) -> None:
         loop = drawn(load_scene("soft_tissue", law="direct", delay=0.05)).loop
         assert loop.phase_margin is None
         assert loop.gain_crossover is not None
-
-    def test_of_a_force_that_is_renewed_slowly_is_none(self) -> None:
         found = drawn(load_scene("virtual_wall", every=3))
         assert found.loop is None
         assert found.period == pytest.approx(3e-3)
         assert len(found.roots.z) == found.roots.total
 
 
-class TestTheRoots:
-    @pytest.mark.full
-    def test_have_the_dominant_mode_and_all_that_grow(self) -> None:
-        for delay in (0.005, 0.5):
-            scene = load_scene("soft_tissue", law="direct", delay=delay)
-            found, roots = stability(scene), drawn(scene).roots
-            assert roots.complete
-            assert np.abs(roots.z - found.mode.z).min() < 1e-9
-            assert np.count_nonzero(np.abs(roots.z) > 1.0) == found.unstable
-            assert len(roots.z) == min(200, roots.total)
+@pytest.mark.full
+def test_the_roots_have_the_dominant_mode_and_all_that_grow() -> None:
+    for delay in (0.005, 0.5):
+        scene = load_scene("soft_tissue", law="direct", delay=delay)
+        found, roots = stability(scene), drawn(scene).roots
+        assert roots.complete
+        assert np.abs(roots.z - found.mode.z).min() < 1e-9
+        assert np.count_nonzero(np.abs(roots.z) > 1.0) == found.unstable
+        assert len(roots.z) == min(200, roots.total)
 
 
-class TestAKnob:
-    def test_has_margins_that_end_where_the_growth_begins(self) -> None:
-        swept = sweep(lambda K: load_scene("virtual_wall", **{"law.K": K}), [100.0, 1000.0, 3000.0, 6000.0])
-        stable = swept.growth < 0.0
-        assert list(stable) == [True, True, True, False]
-        assert ((swept.gain_margin > 1.0) == stable).all()
-        assert (np.isfinite(swept.phase_margin) <= stable).all()
+def test_a_knob_has_margins_that_end_where_the_growth_begins() -> None:
+    swept = sweep(lambda K: load_scene("virtual_wall", **{"law.K": K}), [100.0, 1000.0, 3000.0, 6000.0])
+    stable = swept.growth < 0.0
+    assert list(stable) == [True, True, True, False]
+    assert ((swept.gain_margin > 1.0) == stable).all()
+    assert (np.isfinite(swept.phase_margin) <= stable).all()
 
 
 class TestTheCommand:
