@@ -50,16 +50,6 @@ def forces(count: int) -> list[tuple[float]]:
     return [(2.0 * float(np.sin(0.3 * k)),) for k in range(count)]
 
 
-def test_it_starts_at_rest_where_the_scene_says() -> None:
-    device = SimulatedMaster(master(axes=3, start_m=(0.01, 0.0, -0.02)))
-    got = device.read(0)
-    assert (got.x, got.v) == ((0.01, 0.0, -0.02), (0.0, 0.0, 0.0))
-    assert device.read(0) == got  # to look twice moves nothing
-    robot = SimulatedSlave(slave(start_s=0.011)).read(0)
-    assert (robot.x, robot.v) == ((0.011,), (0.0,))
-    assert robot.f == pytest.approx((3.0,)), "it feels what it stands in"
-
-
 def moved(rate: Any, x: float, v: float) -> tuple[float, float]:
     """The state a tick later, by DOP853."""
     x, v = solve_ivp(rate, (0.0, 1e-3), (x, v), method="DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
@@ -91,18 +81,6 @@ def test_a_master_moves_as_the_equation_of_motion_says(hand: Grip | None) -> Non
         assert got[k + 1].f == pytest.approx((pull(1e-3, x, v) - inertia,), abs=1e-9)
 
 
-def test_a_slave_moves_as_the_equation_of_motion_says() -> None:
-    """M a + b v = f_s - f_env, with f_env the tissue's spring and damper."""
-    held = forces(30)
-    got = readings(SimulatedSlave(slave()), held)
-    x, v = 0.0, 0.0
-    for k in range(len(held) - 1):
-        x, v = moved(lambda _t, s, f=held[k][0]: [s[1], (f - 300.0 * (s[0] - 0.001) - 3.0 * s[1]) / 0.5], x, v)
-        assert got[k + 1].x[0] == pytest.approx(x, abs=1e-12)
-        assert got[k + 1].v[0] == pytest.approx(v, abs=1e-10)
-        assert got[k + 1].f == pytest.approx((300.0 * (x - 0.001) + 2.0 * v,), abs=1e-9)
-
-
 WALLS = (Wall(k=5e3, at=-0.001, side=-1), None, TISSUE)
 
 
@@ -126,18 +104,19 @@ def test_given_the_forces_of_a_virtual_run_it_reads_that_run_to_the_bit(scene: S
 
 
 @both
-def test_over_ticks_that_are_left_out_the_force_goes_on(Device: Any, scene: Any) -> None:
+def test_it_starts_at_rest_goes_on_over_ticks_left_out_and_has_a_force_sensor_where_one_is_of_use_or_asked_for(
+    Device: Any, scene: Any
+) -> None:
+    first = Device(scene(start_m=0.011, start_s=0.011)).read(0)
+    assert (first.x, first.v) == ((0.011,), (0.0,))
     every, some = Device(scene()), Device(scene())
+    assert every.read(0) == every.read(0), "to look twice moves nothing"
     for device in (every, some):
         device.hold((1.5,))
     step = [every.read(k) for k in range(41)]
     assert some.read(7) == step[7]
     assert some.read(40) == step[40]
     assert len(every.read(scene().ticks).x) == 1, "and one tick beyond the last"
-
-
-@both
-def test_it_has_a_force_sensor_where_the_law_has_a_use_for_one_or_as_is_asked_for(Device: Any, scene: Any) -> None:
     assert Device(scene(law=Wave())).read(5).f is None
     assert Device(scene(law=Wave()), senses=True).read(5).f == Device(scene()).read(5).f
     assert Device(scene(), senses=False).read(5).f is None
@@ -163,17 +142,13 @@ def test_a_force_that_is_not_renewed_lapses_at_its_deadline_and_ticks_left_out_b
     assert forgotten.read(3 + 2 * last) == let_go.read(3 + 2 * last) != renewed.read(3 + 2 * last)
     forgotten.hold((1.5,))
     assert forgotten.read(5 + 2 * last) != let_go.read(5 + 2 * last), "and it takes hold again"
-
-
-@both
-def test_a_force_that_is_renewed_at_every_tick_never_lapses_however_long_a_tick_is(Device: Any, scene: Any) -> None:
     slow = scene(dt=0.4, duration=4.0, law=Wave(), hand=None)
     device, still = Device(slow), Device(slow)
     for k in range(3):
         device.read(k)
         device.hold((1.5,))
         still.read(k)
-    assert device.read(3) != still.read(3)
+    assert device.read(3) != still.read(3), "renewed at every tick, however long a tick is"
 
 
 # Turned to another scene
@@ -221,23 +196,20 @@ def test_started_again_it_is_at_rest_at_the_new_scenes_start_and_what_moves_begi
 
 
 @both
-def test_a_turn_to_other_ticks_or_axes_is_refused_and_changes_nothing(Device: Any, scene: Any) -> None:
+def test_a_turn_to_other_ticks_or_axes_or_to_what_has_no_exact_step_is_refused_and_changes_nothing(
+    Device: Any, scene: Any
+) -> None:
     device, alone = Device(scene(start_s=0.01)), Device(scene(start_s=0.01))
     device.read(20)
+    light = MassDamper(mass=1e-9)
     for other, said in (
         ({"dt": 2e-3}, r"it has dt=0.001 s and 1 axis, and scene scene has dt=0.002 s and 1 axis; take one"),
         ({"axes": 3, "environment": (None,) * 3}, "dt=0.001 s and 3 axes"),
+        ({"law": Wave(), "hand": replace(HAND, k=1e308), "environment": Tissue(k=1e308, d=0.0), "master": light,
+          "slave": light}, "no finite step"),
     ):
         with pytest.raises(Refused, match=said):
             device.turn(scene(**other))
-    assert device.read(60) == alone.read(60)
-
-
-def test_a_turn_to_what_has_no_exact_step_changes_nothing() -> None:
-    device, alone = SimulatedMaster(master()), SimulatedMaster(master())
-    device.read(20)
-    with pytest.raises(Refused, match="no finite step"):
-        device.turn(master(law=Wave(), hand=replace(HAND, k=1e308), master=MassDamper(mass=1e-9)))
     assert device.read(60) == alone.read(60)
 
 
@@ -270,18 +242,14 @@ def test_a_run_of_a_day_begins_with_few_samples_and_moves_as_a_short_one_does() 
 # What an environment of the slave keeps
 
 
-@pytest.mark.parametrize("environment", [HEART, SOLID, Moving(environment=SOLID, path=HEART.path)],
-                         ids=["a wall that moves", "tissue that relaxes", "both"])
-def test_a_turn_to_the_same_environment_cannot_be_felt(environment: Any) -> None:
-    turned, alone = (SimulatedSlave(slave(environment=environment)) for _ in "ab")
-    for robot in (turned, alone):
-        robot.hold((2.0,))
-        robot.read(100)
-    turned.turn(slave(environment=environment, x_limit=1.0))
-    assert [turned.read(k) for k in range(100, 290)] == [alone.read(k) for k in range(100, 290)]
-
-
-def test_turned_to_an_environment_that_moves_it_finds_it_where_it_would_be_by_then() -> None:
+def test_a_turn_to_the_same_environment_cannot_be_felt_and_one_that_moves_is_found_where_it_would_be_by_then() -> None:
+    for environment in (HEART, SOLID, Moving(environment=SOLID, path=HEART.path)):
+        turned, alone = (SimulatedSlave(slave(environment=environment)) for _ in "ab")
+        for robot in (turned, alone):
+            robot.hold((2.0,))
+            robot.read(100)
+        turned.turn(slave(environment=environment, x_limit=1.0))
+        assert [turned.read(k) for k in range(100, 290)] == [alone.read(k) for k in range(100, 290)]
     turned, alone = SimulatedSlave(slave()), SimulatedSlave(slave(environment=HEART))
     for robot in (turned, alone):
         robot.read(200)

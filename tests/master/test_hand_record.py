@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from master import HandRecording, SimulatedMaster, SteeredMaster
+from master import HandRecording, SteeredMaster
 from teleop import Refused, load_scene, run
 from teleop.live.records.reader import TruncatedRecord
 from teleop.scene.loading import stored_scene
@@ -47,19 +47,9 @@ def places(folder: Path) -> list[float]:
     return found.samples(1, found.ticks + 1, found.dt_ns)[0].tolist()
 
 
-def test_a_part_that_ended_before_its_first_tick_is_left_out_of_a_page(tmp_path: Path) -> None:
-    """Ctrl-C just after a turn left such a part, and the whole drag was refused."""
-    folder = page(tmp_path / "p", ("start", [(0, 0.1), (1, 0.2), (2, 0.3)]), ("turn", []))
-    written(folder / "02" / "master", [])
-    assert places(folder) == [0.1, 0.2, 0.3]
-    never = page(tmp_path / "q", ("start", [(0, 0.1), (1, 0.2)]), ("turn", []), ("turn", [(3, 0.4)]))
-    assert places(never) == [0.1, 0.2, 0.2, 0.4], "nor one that never began its record"
-
-
 class Drag(NamedTuple):
     folder: Path
     path: list[float]  # its reference, tick by tick
-    readings: list[Any]
 
 
 @pytest.fixture(scope="module")
@@ -67,15 +57,15 @@ def drag(tmp_path_factory: pytest.TempPathFactory) -> Drag:
     """The hand of hard_wall, dragged to and fro over 1.5 s and recorded."""
     folder, device = tmp_path_factory.mktemp("drag"), SteeredMaster(load_scene("hard_wall"))
     device.record(folder)
-    path, readings = [device._r[0]], []
+    path = [device._r[0]]
     for k in range(1, 1501):
         if k % 16 == 0:
             device.steer([0.06 * float(np.sin(0.004 * k))] if k < 1200 else None)
-        readings.append(device.read(k))
+        device.read(k)
         device.hold((2.0,))
         path.append(device._r[0])
     device.record(None)
-    return Drag(folder, path, readings)
+    return Drag(folder, path)
 
 
 def test_the_reference_of_a_drag_is_run_again_to_the_bit_and_so_is_any_part_of_it(drag: Drag) -> None:
@@ -95,14 +85,6 @@ def test_the_reference_of_a_drag_is_run_again_to_the_bit_and_so_is_any_part_of_i
         assert found.samples(1, count, 1_000_000, first=first)[0] == whole[first:first + count]
 
 
-def test_a_hand_that_is_driven_by_its_own_record_moves_the_master_as_it_did(drag: Drag) -> None:
-    """Under the forces of the drag: the same samples between the same ticks are the same motion, to the bit."""
-    again = SimulatedMaster(load_scene("hard_wall", hand=str(drag.folder)), senses=True)
-    for k, reading in enumerate(drag.readings, start=1):
-        assert again.read(k) == reading
-        again.hold((2.0,))
-
-
 @pytest.mark.parametrize("laws", [("wave", "direct"), pytest.param(LAWS, marks=pytest.mark.full)])
 def test_one_drag_is_felt_under_every_law(drag: Drag, laws: tuple[str, ...]) -> None:
     felt = {}
@@ -118,24 +100,38 @@ def test_one_drag_is_felt_under_every_law(drag: Drag, laws: tuple[str, ...]) -> 
 # Folders
 
 
-def test_the_ticks_of_a_page_go_on_over_its_parts_and_one_without_a_row_repeats_the_one_before(tmp_path: Path) -> None:
-    folder = page(tmp_path / "p", ("start", [(0, 0.1), (1, 0.2), (2, 0.3)]), ("turn", [(2, 0.35), (5, 0.4), (6, 0.5)]))
+def test_the_ticks_of_a_page_go_on_over_its_parts_and_of_one_started_again_there_is_what_came_since(
+    tmp_path: Path
+) -> None:
+    """A tick without a row repeats the one before.
+
+    Ctrl-C just after a turn left a part that ended before its first tick, and the whole drag was refused.
+    """
+    start = ("start", [(0, 0.1), (1, 0.2), (2, 0.3)])
+    folder = page(tmp_path / "p", start, ("turn", [(2, 0.35), (5, 0.4), (6, 0.5)]))
     assert places(folder) == [0.1, 0.2, 0.35, 0.35, 0.35, 0.4, 0.5]
     assert places(folder / "01") == places(folder / "01" / "master") == [0.1, 0.2, 0.3]
     assert places(folder / "02") == [0.35, 0.35, 0.35, 0.4, 0.5], "its first tick is tick 0"
-
-
-def test_of_a_page_that_was_started_again_there_is_what_came_since(tmp_path: Path) -> None:
     for why in ("again", "lost"):
         folder = page(tmp_path / why, ("start", [(0, 0.1), (9, 0.2)]), (why, [(9, 0.0), (10, 0.3)]),
                       ("turn", [(10, 0.3), (12, 0.4)]))
         assert places(folder) == [0.0, 0.3, 0.3, 0.4], why
+    folder = page(tmp_path / "ended", start, ("turn", []))
+    written(folder / "02" / "master", [])
+    assert places(folder) == [0.1, 0.2, 0.3]
+    never = page(tmp_path / "never", start, ("turn", []), ("turn", [(4, 0.4)]))
+    assert places(never) == [0.1, 0.2, 0.3, 0.3, 0.4], "nor one that never began its record"
 
 
 def test_what_a_killed_process_leaves_is_taken_up_to_the_row_that_is_cut_off(tmp_path: Path) -> None:
+    """Another motion under the same path is another reference."""
     written(tmp_path, [(0, 0.1), (1, 0.2)], tail=b"\0" * 9)
     with pytest.warns(TruncatedRecord, match="cut off in the middle of a row.*after row 2 is lost"):
         assert places(tmp_path) == [0.1, 0.2]
+    one, same = (HandRecording(str(written(tmp_path, ROWS))) for _ in "ab")
+    other = HandRecording(str(written(tmp_path, [(0, 0.1), (1, 0.3)])))
+    assert one == same != other
+    assert hash(one) == hash(same)
 
 
 ROWS = [(0.0, 0.1), (1.0, 0.2)]
@@ -187,25 +183,16 @@ def test_a_folder_that_holds_no_drag_is_refused_in_a_sentence(tmp_path: Path) ->
         assert "\n" not in str(refused.value), i
 
 
-def test_a_scene_with_other_ticks_or_axes_is_refused(tmp_path: Path) -> None:
+def test_a_scene_with_other_ticks_or_axes_is_refused_and_a_stored_run_reads_a_hand_for_those_who_trust_it(
+    tmp_path: Path
+) -> None:
     """One with other axes was told to set the tick that it had."""
     written(tmp_path, [(0, 0.1), (2000, 0.2)])
     with pytest.raises(Refused, match=r"1 axis with dt=0.001 s, and the scene has 1 axis and dt=0.002 s.*--set dt=0.0"):
         load_scene("hard_wall", hand=str(tmp_path), dt=2e-3)
     with pytest.raises(Refused, match=r"the scene has 3 axes .* take the scene that it was recorded in$"):
         load_scene("recorded_reach", hand=str(tmp_path))
-
-
-def test_a_stored_run_that_names_a_recorded_hand_reads_it_for_those_alone_who_trust_it(tmp_path: Path) -> None:
-    written(tmp_path, ROWS)
     knobs = {"hand": str(tmp_path)}
     with pytest.raises(Refused, match="which names a file of this machine"):
         stored_scene("hard_wall", knobs, trust=False)
-    assert stored_scene("hard_wall", knobs, trust=True).ticks == 1
-
-
-def test_another_motion_under_the_same_path_is_another_reference(tmp_path: Path) -> None:
-    one, same = (HandRecording(str(written(tmp_path, ROWS))) for _ in "ab")
-    other = HandRecording(str(written(tmp_path, [(0, 0.1), (1, 0.3)])))
-    assert one == same != other
-    assert hash(one) == hash(same)
+    assert stored_scene("hard_wall", knobs, trust=True).ticks == 2000

@@ -103,13 +103,15 @@ def test_a_force_is_told_in_the_words_of_the_service_and_pushes_against_the_hand
     assert bench.service.force == {"x": -1.0, "y": 0.5, "z": -0.25}
 
 
-def test_axes_are_taken_in_the_order_and_with_the_sign_that_is_asked_for(new: Bench) -> None:
-    device = new.open("?axes=-yx&origin=0,-0.12,0.15", axes=2)
+def test_axes_are_taken_as_is_asked_for_and_a_force_beyond_the_limit_keeps_its_direction(new: Bench) -> None:
+    device = new.open("?axes=-yx&origin=0,-0.12,0.15&limit=2", axes=2)
     new.service.x, new.service.v = [0.01, 0.02, 0.0], [0.0, 0.0, 0.0]
     reading = new.go(device, 3, (0.5, 0.25))
     assert reading.x == pytest.approx((-0.02, 0.01), abs=1e-3)
     new.go(device, 2, (0.5, 0.25))
     assert new.service.force == {"x": -0.25, "y": 0.5, "z": 0.0}
+    new.go(device, 5, (30.0, 40.0))
+    assert tuple(new.service.force.values()) == pytest.approx((-1.6, 1.2, 0.0))
 
 
 def test_power_is_the_same_in_the_frame_of_the_scene_and_of_the_device(new: Bench) -> None:
@@ -125,23 +127,15 @@ def test_power_is_the_same_in_the_frame_of_the_scene_and_of_the_device(new: Benc
     assert at_device == pytest.approx(-sum(f * v for f, v in zip((1.0, 2.0, 3.0), reading.v, strict=True)), rel=1e-12)
 
 
-def test_buttons_of_the_grip_are_the_operators_switches(new: Bench) -> None:
-    device = new.open("?clutch=a&present=b")
-    new.service.buttons = {"a": True, "b": False, "c": False}
-    reading = new.go(device, 3)
-    assert (reading.clutch, reading.present) == (True, False)
-    new.service.buttons = {"a": False, "b": True, "c": False}
-    reading = new.go(device, 3)
-    assert (reading.clutch, reading.present) == (False, True)
+def test_buttons_of_the_grip_are_the_operators_switches_also_the_clutch_of_the_rotation_alone(new: Bench) -> None:
+    device = new.open("?clutch=a&present=b&wrist=c")
+    for pressed, clutch, present in (("a", True, False), ("b", False, True), ("c", "rotation", False),
+                                     ("ac", True, False)):
+        new.service.buttons = {button: button in pressed for button in "abc"}
+        reading = new.go(device, 3)
+        assert (reading.clutch, reading.present) == (clutch, present)
     new.service.without = {"wireless_verse_grip"}
     assert "the grip has no button a (no buttons)" in new.trouble(device, 3)
-
-
-def test_a_button_of_the_grip_is_the_clutch_of_the_rotation_alone(new: Bench) -> None:
-    device = new.open("?clutch=a&wrist=c")
-    for pressed, clutch in (((False, True), "rotation"), ((True, True), True), ((False, False), False)):
-        new.service.buttons = {"a": pressed[0], "b": False, "c": pressed[1]}
-        assert new.go(device, 3).clutch == clutch
 
 
 def test_an_orientation_that_is_no_unit_quaternion_is_no_state(new: Bench) -> None:
@@ -188,13 +182,6 @@ def test_scenes_that_it_cannot_be_the_master_of_are_refused(new: Bench) -> None:
     assert "the grip tells no orientation" in new.trouble(opened_for(new, "pose"), 3)
 
 
-def test_a_force_beyond_the_limit_keeps_its_direction(new: Bench) -> None:
-    device = new.open("?limit=2")
-    new.go(device, 5, (30.0, 40.0, 0.0))
-    assert tuple(new.service.force.values()) == pytest.approx((-1.2, -1.6, 0.0))
-    assert hypot(*new.service.force.values()) == pytest.approx(2.0)
-
-
 def test_reading_alone_keeps_the_states_coming(new: Bench) -> None:
     """The service answers commands and says nothing else; before a run nobody holds a force."""
     device = new.open("?origin=0,-0.12,0.15")
@@ -203,7 +190,7 @@ def test_reading_alone_keeps_the_states_coming(new: Bench) -> None:
         assert device.read(0).x[1] == pytest.approx(new.service.x[1], abs=2e-3)
 
 
-def test_a_slow_service_is_told_the_newest_force_and_no_queue(new: Bench) -> None:
+def test_a_slow_service_is_told_the_newest_force_and_no_queue_and_letting_go_before_it_answers(new: Bench) -> None:
     device = new.open()
     new.go(device, 5)
     before = len(new.service.commands)
@@ -216,11 +203,6 @@ def test_a_slow_service_is_told_the_newest_force_and_no_queue(new: Bench) -> Non
     new.go(device, 3, (2.0, 0.0, 0.0))
     assert len(new.service.commands) - before <= 6
     assert new.service.force["x"] == -2.0
-
-
-def test_letting_go_is_told_to_a_service_that_has_not_answered(new: Bench) -> None:
-    device = new.open()
-    new.go(device, 5, (2.0, 0.0, 0.0))
     new.serves = False
     for _ in range(5):
         device.hold((2.0, 0.0, 0.0))
@@ -230,13 +212,17 @@ def test_letting_go_is_told_to_a_service_that_has_not_answered(new: Bench) -> No
     assert new.service.force["x"] == 0.0
 
 
-def test_a_service_that_says_nothing_is_not_read(new: Bench) -> None:
+def test_a_service_that_says_nothing_is_not_read_and_an_inverse3_that_is_unplugged_comes_back(new: Bench) -> None:
     device = new.open()
     new.go(device, 5)
     new.service.answers = False
     assert "said nothing for 0.05 s" in new.trouble(device, 2 * STALE_NS // 1_000_000)
     new.service.answers = True
     assert new.well_again(device).x
+    new.service.without = {"inverse3"}
+    assert "lists no Inverse3 049D" in new.trouble(device, 5)
+    new.service.without = set()
+    assert new.well_again(device, 5).x
 
 
 NO_STATES: tuple[Any, ...] = (
@@ -276,15 +262,6 @@ def test_a_service_without_an_inverse3_says_what_it_has(new: Bench) -> None:
         with pytest.raises(DeviceError, match=cure):
             new.open()
         new.service.status[status] = True
-
-
-def test_an_inverse3_that_is_unplugged_in_a_run_is_said_and_comes_back(new: Bench) -> None:
-    device = new.open()
-    new.go(device, 5)
-    new.service.without = {"inverse3"}
-    assert "lists no Inverse3 049D" in new.trouble(device, 5)
-    new.service.without = set()
-    assert new.well_again(device, 5).x
 
 
 def test_a_service_that_is_started_again_is_found_again(new: Bench) -> None:
@@ -327,6 +304,7 @@ def test_letting_go_alone_finds_the_service_again(new: Bench) -> None:
 def test_the_watchdog_lets_go_over_a_connection_of_its_own_and_closing_lets_go(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Who has measured when the service lets go needs none."""
     device = bench.open()
     bench.go(device, 5, (1.0, 1.0, 1.0))
     monkeypatch.setattr("master.haply.monotonic_ns", bench.clock)
@@ -338,12 +316,8 @@ def test_the_watchdog_lets_go_over_a_connection_of_its_own_and_closing_lets_go(
     assert set(bench.service.force.values()) == {-1.0}
     device.close()
     assert set(bench.service.force.values()) == {0.0}
-
-
-def test_who_has_measured_when_the_service_lets_go_needs_no_watchdog(new: Bench) -> None:
-    device = new.open("?deadline=0.1")
-    assert device.watchdog is None
-    assert device.deadline == 0.1
+    measured = bench.open("?deadline=0.1")
+    assert (measured.watchdog, measured.deadline) == (None, 0.1)
 
 
 WRONG = (

@@ -93,16 +93,13 @@ def test_towards_a_place_far_away_it_comes_close_to_that_speed_and_arrives_witho
 # The device
 
 
-def test_until_it_is_steered_it_is_the_simulated_master_to_the_bit() -> None:
+def test_until_it_is_steered_it_is_the_simulated_master_to_the_bit_and_ticks_left_out_are_caught_up() -> None:
     assert SimulatedMaster(scene()).read(3).f is None
     plain, steered = SimulatedMaster(scene(), senses=True), SteeredMaster(scene())  # whatever the law reads
     for k in range(400):
         assert steered.read(k) == plain.read(k)
         for device in (plain, steered):
             device.hold((0.002 * k,))
-
-
-def test_ticks_that_are_left_out_are_caught_up() -> None:
     every, some = SteeredMaster(scene()), SteeredMaster(scene())
     for device in (every, some):
         device.read(300)
@@ -269,8 +266,8 @@ def test_a_place_that_moves_on_slowly_is_reached_in_time() -> None:
 # Turning
 
 
-def test_a_turn_keeps_place_speed_and_what_the_hand_was_told_to_the_bit() -> None:
-    turned, other = SteeredMaster(scene()), SteeredMaster(scene())
+def test_a_turn_keeps_place_speed_and_what_the_hand_was_told_to_the_bit_and_started_again_it_begins_anew() -> None:
+    turned, other, fresh = SteeredMaster(scene()), SteeredMaster(scene()), SteeredMaster(scene(start_m=0.01))
     for device in (turned, other):
         device.read(150)
         device.steer([0.06])
@@ -280,21 +277,15 @@ def test_a_turn_keeps_place_speed_and_what_the_hand_was_told_to_the_bit() -> Non
     turned.turn(scene(observer=None, duration=DAY))
     assert turned.read(220) == before
     assert [turned.read(k) for k in range(221, 300)] == [other.read(k) for k in range(221, 300)]
+    turned.align([0.03])
+    turned.read(431)
+    turned.hold((3.0,))
+    turned.turn(scene(start_m=0.01), again=True)
+    assert [turned.read(431 + k) for k in range(300)] == [fresh.read(k) for k in range(300)]
+    assert not turned.aligned
 
 
-def test_started_again_the_hand_moves_as_the_scene_says_from_its_start() -> None:
-    device, fresh = SteeredMaster(scene()), SteeredMaster(scene(start_m=0.01))
-    device.read(150)
-    device.steer([0.06])
-    device.align([0.03])
-    device.read(431)
-    device.hold((3.0,))
-    device.turn(scene(start_m=0.01), again=True)
-    assert [device.read(431 + k) for k in range(300)] == [fresh.read(k) for k in range(300)]
-    assert not device.aligned
-
-
-def test_a_place_with_other_axes_or_out_of_reach_is_refused_and_changes_nothing() -> None:
+def test_a_place_with_other_axes_or_out_of_reach_or_a_swing_that_is_none_is_refused_and_changes_nothing() -> None:
     device, other = SteeredMaster(scene()), SteeredMaster(scene())
     axes = r"one number for each of 1 axis.*send for example \[0.03\]"
     for order in (device.steer, device.align):
@@ -304,6 +295,10 @@ def test_a_place_with_other_axes_or_out_of_reach_is_refused_and_changes_nothing(
         for place in (nan, inf, -inf, "x", None, True, 10.1, -1e300):
             with pytest.raises(Refused, match=r"to\[0\] must be|10 m from 0"):
                 order([place])  # type: ignore[operator]
+    swings: tuple[Any, ...] = ([nan], [11.0], [0.01, 0.02], "far")
+    for swing in swings:
+        with pytest.raises(Refused):
+            device.steer([0.02], swing)
     assert device.read(300) == other.read(300)
 
 
@@ -360,7 +355,9 @@ def rows(path: Path, axes: int = 1) -> np.ndarray[Any, Any]:
     return np.frombuffer(data[data.index(b"\n") + 1:], dtype="<f8").reshape(-1, 1 + axes)
 
 
-def test_its_record_has_the_reference_of_every_tick_also_of_those_left_out(tmp_path: Path) -> None:
+def test_its_record_has_the_reference_of_every_tick_also_of_those_left_out_and_what_is_killed_lacks_few(
+    tmp_path: Path
+) -> None:
     device = SteeredMaster(scene())
     device.read(5)
     device.record(tmp_path)
@@ -369,6 +366,7 @@ def test_its_record_has_the_reference_of_every_tick_also_of_those_left_out(tmp_p
     for k in range(6, 900):
         device.read(k)
         expected.append((k, device._r[0]))
+    assert 0 <= len(expected) - len(rows(tmp_path / "hand.bin")) < 16
     device.read(903)
     device.record(None)
     assert json.loads((tmp_path / "hand.bin").read_bytes().split(b"\n", 1)[0]) == {
@@ -398,13 +396,6 @@ def test_a_record_ends_where_the_hand_was_and_the_next_begins_where_it_is(tmp_pa
     assert b[0].tolist() == [100.0, 0.0]
     assert c[0].tolist() == [200.0, 0.0]
     assert (b[-1, 0], c[-1, 0]) == (200, 210)
-
-
-def test_what_a_killed_process_leaves_of_it_is_all_but_the_last_few_rows(tmp_path: Path) -> None:
-    device = SteeredMaster(scene())
-    device.record(tmp_path)
-    device.read(330)
-    assert len(rows(tmp_path / "hand.bin")) == 320
 
 
 def test_a_full_disk_ends_the_record_and_not_the_motion(tmp_path: Path) -> None:
@@ -442,12 +433,3 @@ def test_a_hand_that_swings_does_so_by_the_runs_clock_and_a_new_target_ends_it_w
     moved = np.array([each[0] for each in felt(device, 9500)])
     assert np.abs(np.diff(np.concatenate([again[-1:], moved]))).max() < 1e-3 * MOST_SPEED
     assert moved[-1] == pytest.approx(-0.03, abs=1e-6)
-
-
-@pytest.mark.parametrize("swing", [[nan], [11.0], [0.01, 0.02], "far"])
-def test_a_swing_that_is_none_is_refused_and_changes_nothing(swing: Any) -> None:
-    device = SteeredMaster(scene(hand=STILL))
-    device.steer([0.01])
-    with pytest.raises(Refused):
-        device.steer([0.02], swing)
-    assert felt(device, 2000)[-1][0] == pytest.approx(0.01, abs=1e-6)
