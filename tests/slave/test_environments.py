@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -11,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from master import Sine
 from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
 from teleop import MassDamper, Plant, Refused, Resistance, Scene, Wave
 from teleop.physics.implicit import implicit_plant
@@ -25,7 +25,7 @@ DT = 1e-3
 # Walls and tissue
 
 
-def test_canonical_wall_stops_a_body_at_its_surface() -> None:
+def test_canonical_wall_stops_a_body_at_its_surface_and_neither_stiff_nor_damped_is_no_wall() -> None:
     plant = Wall(k=5000.0, d=5.0, at=0.03).plant(BODY, 1e-3)
     assert plant.force(plant.c, 0.0299, 1.0) == 0.0
     assert plant.force(plant.c, 0.031, 0.1) == pytest.approx(5000.0 * 0.001 + 5.0 * 0.1)
@@ -33,6 +33,9 @@ def test_canonical_wall_stops_a_body_at_its_surface() -> None:
     for _ in range(5000):
         x, v, _ = plant.move(plant.c, x, v, 2.0)
     assert x == pytest.approx(0.03 + 2.0 / 5000.0, abs=1e-12)
+    assert Wall(k=0.0).plant(BODY, 1e-3).move is move_free
+    assert Wall(k=5000, at=0, side=-1) == Wall(k=5000.0, at=0.0, side=-1.0)
+    assert all(isinstance(c, float) for c in Wall(k=5000).plant(MassDamper(mass=1), 1e-3).c)
 
 
 def test_wall_on_the_other_side_is_its_mirror_image() -> None:
@@ -48,29 +51,17 @@ def test_wall_on_the_other_side_is_its_mirror_image() -> None:
     assert deepest > 0.031
 
 
-def test_neither_stiff_nor_damped_is_no_wall_and_whole_numbers_are_numbers() -> None:
-    assert Wall(k=0.0).plant(BODY, 1e-3).move is move_free
-    assert Wall(k=5000, at=0, side=-1) == Wall(k=5000.0, at=0.0, side=-1.0)
-    assert all(isinstance(c, float) for c in Wall(k=5000).plant(MassDamper(mass=1), 1e-3).c)
-
-
-def test_tissue_pushes_and_pulls() -> None:
-    plant = Tissue(k=300.0, d=2.0, at=0.02).plant(MassDamper(mass=0.5), 1e-3)
+def test_tissue_pushes_and_pulls_and_undamped_swings_at_its_own_frequency_and_a_solid_starts_relaxed() -> None:
+    m, k, at, dt = 0.5, 300.0, 0.02, 1e-3
+    plant = Tissue(k=k, d=2.0, at=at).plant(MassDamper(mass=m), dt)
     assert plant.force(plant.c, 0.03, 0.1) == pytest.approx(300.0 * 0.01 + 0.2)
     assert plant.force(plant.c, 0.01, 0.0) == pytest.approx(-3.0)
-
-
-def test_undamped_tissue_swings_at_its_own_frequency() -> None:
-    m, k, at, dt = 0.5, 300.0, 0.02, 1e-3
     plant = Tissue(k=k, d=0.0, at=at).plant(MassDamper(mass=m), dt)
     x, v = at + 0.01, 0.0
     for _ in range(1000):
         x, v, _ = plant.move(plant.c, x, v, 0.0)
     assert x - at == pytest.approx(0.01 * math.cos(math.sqrt(k / m)), abs=1e-13)
     assert v == pytest.approx(-0.01 * math.sqrt(k / m) * math.sin(math.sqrt(k / m)), abs=1e-12)
-
-
-def test_a_solid_pushes_and_pulls_and_starts_relaxed() -> None:
     plant = StandardLinearSolid(k=300.0, k1=700.0, tau=0.1, at=0.02).plant(MassDamper(mass=0.5), 1e-3)
     assert StandardLinearSolid.inner
     assert plant.start == (0.0,)
@@ -88,14 +79,7 @@ def test_quick_pushes_meet_both_springs_and_slow_ones_the_lasting_one() -> None:
 
 # In motion
 
-
-@dataclass(frozen=True)
-class Swing:
-    """5 mm up and down in a second."""
-
-    def samples(self, axes: int, count: int, dt_ns: int) -> tuple[list[float], ...]:
-        assert (axes, dt_ns) == (1, 1_000_000)
-        return ([0.005 * math.sin(2 * math.pi * k * dt_ns / 1e9) for k in range(count)],)
+SWING = Sine(amplitude=0.005, frequency=1.0)
 
 
 def plant_of(moving: Moving, ticks: int) -> Plant:
@@ -103,16 +87,13 @@ def plant_of(moving: Moving, ticks: int) -> Plant:
     return slave_plants(Scene(law=Wave(), master=BODY, slave=BODY, environment=moving, dt=DT, duration=ticks * DT))[0]
 
 
-def test_body_bonded_to_what_moves_slowly_goes_along() -> None:
-    plant = plant_of(Moving(environment=Tissue(k=1e6, d=500.0, at=0.02), path=Swing()), 1000)
+def test_body_bonded_to_what_moves_slowly_goes_along_and_a_wall_that_comes_is_met_where_it_comes_to() -> None:
+    plant = plant_of(Moving(environment=Tissue(k=1e6, d=500.0, at=0.02), path=SWING), 1000)
     x, v, z = 0.02, 0.0, plant.start
     for k in range(1, 1001):
         x, v, _, z = plant.move(plant.c, x, v, 0.0, z)
         assert x == pytest.approx(0.02 + 0.005 * math.sin(2 * math.pi * k * DT), abs=2e-5)
-
-
-def test_wall_that_comes_is_met_where_it_comes_to() -> None:
-    plant = plant_of(Moving(environment=Wall(k=5000.0, at=0.004, side=-1), path=Swing()), 1000)
+    plant = plant_of(Moving(environment=Wall(k=5000.0, at=0.004, side=-1), path=SWING), 1000)
     for k in (0, 40, 250):  # the surface is 4 mm beyond the path
         place = 0.004 + 0.005 * math.sin(2 * math.pi * k * DT)
         assert plant.force(plant.c, place + 1e-6, 0.0, (k,)) == 0.0
@@ -120,11 +101,11 @@ def test_wall_that_comes_is_met_where_it_comes_to() -> None:
 
 
 def test_inner_state_of_what_moves_is_kept() -> None:
-    moving = Moving(environment=StandardLinearSolid(k=300.0, k1=700.0, tau=0.1), path=Swing())
+    moving = Moving(environment=StandardLinearSolid(k=300.0, k1=700.0, tau=0.1), path=SWING)
     plant = plant_of(moving, 10)
     assert moving.inner
     with pytest.raises(Refused, match="moves already"):
-        Moving(environment=moving, path=Swing())
+        Moving(environment=moving, path=SWING)
     assert plant.start == (0, 0.0)
     _, _, _, z = plant.move(plant.c, 0.0, 0.0, 0.0, plant.start)
     assert z[0] == 1

@@ -98,13 +98,20 @@ class TestThePoseThatItBeginsIn:
         assert not [each for each in again.notes if "searched for" in each]
 
     def test_it_began_in_contact(self, tmp_path: Path) -> None:
-        """A wide table just below the shoulder leaves the upper half of what the arm can reach."""
+        """A wide table just below the shoulder leaves the upper half of what the arm can reach.
+
+        Where none is free of contact it is refused.
+        """
         table = '<geom name="table" type="box" size="1 1 0.01" pos="0 0 0.09" contype="1" conaffinity="1"/>'
         for n in (0, 3):
             lift = f'range="{0.1 + 0.3 * n} {0.9 + 0.3 * n}"'
             robot = MuJoCoRobot(scene(3), arm(tmp_path, world=table, lift=lift, bend='range="0.3 2.8"'))
             assert robot._body.data.ncon == 0
             assert singular(robot) > 0.05
+        shell = '<geom name="shell" size="2" contype="1" conaffinity="1"/>'
+        with pytest.raises(Refused, match=r"none of 1001 poses .* far from singular and free of contact "
+                                          r"\(world touches fore\); write --robot mujoco:.*@q=Q1"):
+            MuJoCoRobot(scene(3), arm(tmp_path, world=shell))
 
     def test_the_files_own_positions_stay_where_they_are_sound(self, tmp_path: Path) -> None:
         file = arm(tmp_path).replace("own.xml", "bent.xml")
@@ -151,12 +158,6 @@ class TestThePoseThatItBeginsIn:
             assert "searched for" in robot.notes[1]
             assert singular(robot) > 0.1
 
-    def test_is_refused_where_none_is_free_of_contact(self, tmp_path: Path) -> None:
-        shell = '<geom name="shell" size="2" contype="1" conaffinity="1"/>'
-        with pytest.raises(Refused, match=r"none of 1001 poses .* far from singular and free of contact "
-                                          r"\(world touches fore\); write --robot mujoco:.*@q=Q1"):
-            MuJoCoRobot(scene(3), arm(tmp_path, world=shell))
-
     def test_of_joints_that_the_scene_begins_outside_their_limits_is_refused(self, tmp_path: Path) -> None:
         file = arm(tmp_path, bend='range="0.5 2.5"')
         own: dict[str, Any] = {"names": ("lift", "bend"), "units": ("rad", "rad")}
@@ -173,20 +174,17 @@ class TestWhatIsNotTheRobot:
     def test_contact_of_the_robot_with_itself_was_told_as_environment(
         self, names: tuple[str, ...], tmp_path: Path
     ) -> None:
+        file = tmp_path / "cart.xml"
         for parts, force in (({"stop": STOP, "own": ""}, 5.0), ({"stop": "", "own": STOP}, 0.0)):
-            self._presses(tmp_path / "cart.xml", names, parts, force)
-
-    def _presses(self, file: Path, names: tuple[str, ...], parts: dict[str, str], force: float) -> None:
-        file.write_text(CART.format(**parts))
-        robot = MuJoCoRobot(scene(1, names=names), str(file))
-        last = moved(robot, [(5.0,)] * 1500)[-1]
-        assert last.f == pytest.approx((force,), rel=1e-3)
-        assert abs(last.v[0]) < 1e-3
-        notes = [each for each in robot.notes if "the robot touched itself" in each]
-        assert bool(notes) == (force == 0.0)
-        if notes:
-            assert "cart against base" in notes[0]
-            assert float(notes[0].split()[6]) >= 4.9
+            file.write_text(CART.format(**parts))
+            robot = MuJoCoRobot(scene(1, names=names), str(file))
+            last = moved(robot, [(5.0,)] * 1500)[-1]
+            assert last.f == pytest.approx((force,), rel=1e-3)
+            assert abs(last.v[0]) < 1e-3
+            notes = [each for each in robot.notes if "the robot touched itself" in each]
+            assert bool(notes) == (force == 0.0)
+        assert "cart against base" in notes[0]
+        assert float(notes[0].split()[6]) >= 4.9
 
     def test_an_elbow_that_presses_is_a_note_and_not_what_the_end_effector_feels(self, tmp_path: Path) -> None:
         elbow = '<geom name="elbow" pos="0 0 0.3" size="0.03" contype="1" conaffinity="1"/>'
@@ -209,13 +207,11 @@ class TestAPushThatDoesNotMoveIt:
         off = self.WELD.replace("body2", 'active="false" body2')
         assert begins_at(MuJoCoRobot(scene(3), arm(tmp_path, world=world, more=off)))
 
-    def test_of_joints_that_the_file_holds_is_refused(self, tmp_path: Path) -> None:
+    def test_of_joints_that_the_file_holds_or_a_site_on_the_axis_of_joint_1_is_refused(self, tmp_path: Path) -> None:
         more = '<equality><joint joint1="bend" polycoef="1 0 0 0 0"/></equality>'
         own: dict[str, Any] = {"names": ("lift", "bend"), "units": ("rad", "rad"), "start_s": (0.2, 1.0)}
         with pytest.raises(Refused, match="not move under a push along bend: the file's <equality> couples its joints"):
             MuJoCoRobot(scene(2, **own), arm(tmp_path, more=more))
-
-    def test_of_a_site_on_the_axis_of_joint_1_is_refused(self, tmp_path: Path) -> None:
         with pytest.raises(Refused, match=r"on_axis does not move under a push: it stands on the axes of the joints "
                                           r"that carry it; write --robot mujoco:.*own\.xml#NAME"):
             MuJoCoRobot(scene(3), arm(tmp_path) + "#on_axis")

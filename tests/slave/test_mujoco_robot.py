@@ -1,4 +1,4 @@
-"""A robot in MuJoCo: forces at its end effector or its joints, what it senses, and what is refused of a model."""
+"""A robot in MuJoCo: forces and torques at its end effector or its joints, what it senses, and what is refused."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,12 @@ import numpy as np
 import pytest
 
 from master.device import SimulatedMaster
-from slave.mujoco_model import OWN, load
+from slave.mujoco_model import OWN, TURNS, load
 from slave.mujoco_robot import MuJoCoBody, MuJoCoRobot, pressed
 from teleop import Direct, MassDamper, Refused, Scene, Wave, check_device, load_scene, run
 from teleop.live.in_process import run_stepped
+from teleop.physics.rotation import exp, product, turned
+from teleop.simulation.metrics import angle_error
 
 mujoco = pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
 
@@ -120,17 +123,16 @@ class TestTheArm:
             stored = max(hits[max(0, k - 50):k + 50]) ** 2 / (2.0 * 15e3)
             assert lost[k + 50] - lost[k] > -stored - 2e-4
 
-    def test_the_same_forces_give_the_same_bits(self) -> None:
-        forces = [(float(f), 0.5, -1.0) for f in np.sin(np.arange(400) / 30.0) * 8.0]
-        assert moved(MuJoCoRobot(scene(3)), forces) == moved(MuJoCoRobot(scene(3)), forces)
-
-    def test_ticks_may_be_left_out_and_a_copy_of_a_state_goes_on_by_itself(self) -> None:
+    def test_ticks_may_be_left_out_a_force_lapses_and_a_copy_of_a_state_goes_on_by_itself(self) -> None:
+        """To the same bits under the same forces."""
         one, other = MuJoCoRobot(scene(1)), MuJoCoRobot(scene(1))
         for robot in (one, other):
             robot.hold((0.5,))
         for k in range(10):
             one.read(k)
         assert one.read(20) == other.read(20)
+        assert np.argmax([one.read(k).v[0] for k in range(30, 191, 10)]) == 12, "which is not renewed, at tick 150"
+        assert one.deadline == 0.15
         body = MuJoCoBody(load(scene(3)))
         apart = copy(body)
         apart.hold((3.0, 0.0, 0.0))
@@ -140,13 +142,6 @@ class TestTheArm:
         assert body.read().x == (0.0, 0.0, 0.0)
         body.step()
         assert body.read().x[0] == pytest.approx(0.0, abs=1e-12)
-
-    def test_a_force_that_is_not_renewed_lapses(self) -> None:
-        robot = MuJoCoRobot(scene(1))
-        robot.hold((0.5,))
-        speeds = [robot.read(k).v[0] for k in range(0, 191, 10)]
-        assert np.argmax(speeds) == 15
-        assert robot.deadline == 0.15
 
 
 JOINTS: dict[str, Any] = {"names": ("turn", "lift", "bend"), "units": ("rad", "rad", "rad")}
@@ -195,26 +190,26 @@ class TestJoints:
 
 
 class TestAModelOfOnesOwn:
-    def test_a_cart_moves_as_mass_and_damper_do(self, tmp_path: Path) -> None:
-        readings = moved(MuJoCoRobot(scene(1), slider(tmp_path)), [(2.0,)] * 500)
-        assert readings[-1].v[0] == pytest.approx(2.0 * (1.0 - np.exp(-1.0)), rel=1e-3)
 
-    def test_its_actuators_are_off_and_its_keyframe_home_is_where_it_begins(self, tmp_path: Path) -> None:
+    def test_its_actuators_are_off_its_keyframe_home_is_where_it_begins_and_its_end_effector_may_have_another_name(
+        self, tmp_path: Path
+    ) -> None:
         more = ('<actuator><position joint="rail" kp="500" ctrlrange="-1 1"/></actuator>'
                 '<keyframe><key name="home" qpos="0.3 0 0.5 5 1 0 0 0" ctrl="0.7"/></keyframe>')
         robot = MuJoCoRobot(scene(1), slider(tmp_path, more=more))
         assert robot._body.data.qpos[0] == 0.3
         assert moved(robot, [(0.0,)] * 50)[-1].x[0] == 0.0
-
-    def test_its_end_effector_may_have_another_name(self, tmp_path: Path) -> None:
-        file = slider(tmp_path, site="gripper")
-        assert MuJoCoRobot(scene(1), f"{file}#gripper").read(0).x == (0.0,)
+        assert MuJoCoRobot(scene(1), f"{slider(tmp_path, site='gripper')}#gripper").read(0).x == (0.0,)
         (tmp_path / "a#b").mkdir()
-        assert MuJoCoRobot(scene(1), f"{slider(tmp_path / 'a#b')}").read(0).x == (0.0,)
-        assert MuJoCoRobot(scene(1), f"{slider(tmp_path / 'a#b')}#cart").read(0).x == (0.0,)
+        for point in ("", "#cart"):
+            assert MuJoCoRobot(scene(1), f"{slider(tmp_path / 'a#b')}{point}").read(0).x == (0.0,)
 
-    def test_a_long_tick_has_sub_steps_no_longer_than_its_own(self, tmp_path: Path) -> None:
+    def test_a_cart_moves_as_mass_and_damper_do_and_a_long_tick_has_sub_steps_no_longer_than_its_own(
+        self, tmp_path: Path
+    ) -> None:
         file = slider(tmp_path)
+        readings = moved(MuJoCoRobot(scene(1), file), [(2.0,)] * 500)
+        assert readings[-1].v[0] == pytest.approx(2.0 * (1.0 - np.exp(-1.0)), rel=1e-3)
         assert [MuJoCoRobot(scene(1, dt=dt), file)._model.substeps for dt in (5e-4, 1e-3, 2e-3)] == [4, 4, 8]
 
     def test_what_cannot_be_a_robot_is_refused_in_one_sentence(self, tmp_path: Path) -> None:
@@ -252,7 +247,12 @@ class TestAModelOfOnesOwn:
         assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
-def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_a_robot_as_check_device_asks_for_and_without_mujoco_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = check_device("mujoco", load_scene("arm"))
+    assert (found.simulated, found.senses, found.deadline) == (True, True, 0.15)
+    assert min(found.moved) > 1e-3
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(Refused, match=r"pip install 'bilateral-teleop\[mujoco\]'"):
         MuJoCoRobot(scene(1))
@@ -292,18 +292,12 @@ def test_six_joints_in_mujoco_move_as_the_bodies_that_are_stepped_exactly(tmp_pa
     assert ours.trace["f_env"].shape == (1500, 6)
 
 
-def test_it_is_a_robot_as_check_device_asks_for() -> None:
-    found = check_device("mujoco", load_scene("arm"))
-    assert (found.simulated, found.senses, found.deadline) == (True, True, 0.15)
-    assert min(found.moved) > 1e-3
-
-
 # The stiffness of a contact, as it is told before a run, is what a press of the test's own finds
 
 
-def told(file: str | None = None, axes: int = 3) -> tuple[str, list[float]]:
+def told(file: str | None = None) -> tuple[str, list[float]]:
     """The sentence, and the two stiffnesses in it, N/m."""
-    model = load(scene(axes), file)
+    model = load(scene(3), file)
     text = pressed(model, copy(MuJoCoBody(model)))[0]
     return text, [float(each.replace(",", "")) for each in re.findall(r"([\d,]+) N/m at", text)]
 
@@ -334,7 +328,105 @@ def test_a_stiffness_is_the_slope_of_force_over_depth_at_two_forces_and_goes_wit
         assert all(low < one / usual < high for one, usual in zip(told(str(other))[1], found, strict=True)), time
 
 
-def test_that_there_is_nothing_to_touch_is_told(tmp_path: Path) -> None:
-    text, found = told(slider(tmp_path), axes=1)
-    assert found == []
-    assert "came upon nothing within 0.2 m of its start" in text
+# Turns of an end effector: torques by six rows of its Jacobian, and the scene `pose` on an arm
+
+
+WRENCHES = ((1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.02, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, -0.02, 0.0),
+            (0.0, 0.0, 0.0, 0.0, 0.0, 0.02), (0.3, -0.2, 0.4, 0.01, 0.02, -0.01))
+
+
+def jacobian(model: Any, data: Any) -> Any:
+    """Six rows of MuJoCo's own, of the site and not of the body that forces are applied to."""
+    J = np.zeros((6, model.nv))
+    mujoco.mj_jacSite(model, data, J[:3], J[3:], model.site("end_effector").id)
+    return J
+
+
+def test_a_wrench_accelerates_it_by_the_six_rows_of_its_jacobian() -> None:
+    model = mujoco.MjModel.from_xml_path(str(TURNS))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    J, M = jacobian(model, data), np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    for wrench in WRENCHES:
+        got = moved(MuJoCoRobot(load_scene("pose")), [wrench])[-1].v
+        expected = 1e-3 * J @ np.linalg.solve(M, J.T @ np.array(wrench))
+        np.testing.assert_allclose(got, expected, rtol=0.02, atol=1e-4 * abs(expected).max() + 1e-4)
+
+
+def test_its_work_is_that_of_the_forces_and_torques_along_what_is_read_and_its_orientation_is_the_models() -> None:
+    """Thrown about without friction, weight or contact: the kinetic energy is what was put in.
+
+    The quaternion that the turns of every tick make is MuJoCo's own, from wherever the scene begins.
+    """
+    rng = np.random.default_rng(3)
+    begins = (0.01, 0.0, 0.02, 0.3, -0.2, 0.1)
+    robot = MuJoCoRobot(replace(load_scene("pose"), start_s=begins))
+    model, data = robot._model.model, robot._body.data
+    model.dof_damping[:] = 0.0
+    model.geom_contype[:] = model.geom_conaffinity[:] = 0
+    first = data.xquat[robot._model.tip].copy()
+    before = np.array(robot.read(0).x)
+    np.testing.assert_allclose(before, begins, atol=1e-12)
+    q, work, M = exp(*begins[3:]), 0.0, np.zeros((model.nv, model.nv))
+    works, energies = [0.0], [0.0]
+    for k in range(1500):
+        if k % 40 == 0:
+            wrench = np.concatenate((rng.normal(0.0, 1.0, 3) - 20.0 * before[:3], rng.normal(0.0, 0.02, 3)))
+        robot.hold(tuple(wrench))
+        reading = robot.read(k + 1)
+        now = np.array(reading.x)
+        work += float(wrench @ (now - before))
+        q = turned(*q, *(now - before)[3:])
+        before = now
+        mujoco.mj_fullM(model, data, M)
+        energies.append(0.5 * float(data.qvel @ M @ data.qvel))
+        works.append(work)
+        np.testing.assert_allclose(reading.v, jacobian(model, data) @ data.qvel, atol=1e-6)
+    assert max(energies) > 0.02
+    np.testing.assert_allclose(energies, works, atol=0.03 * max(energies))  # of MuJoCo's first-order steps
+    assert abs(now[3:]).max() > 1.0
+    w, x, y, z = first
+    a, b, c, d = data.xquat[robot._model.tip].tolist()
+    since = product(a, b, c, d, w, -x, -y, -z)
+    assert abs(np.dot(q, product(*since, *exp(0.3, -0.2, 0.1)))) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_it_senses_the_torque_of_what_it_touches_about_its_point() -> None:
+    """Pressed on the table and dragged along it: the constraint forces on the joints are the six rows' alone."""
+    robot = MuJoCoRobot(load_scene("pose"))
+    data, model = robot._body.data, robot._model.model
+    seen = 0.0
+    for k in range(900):
+        reading = robot.read(k)
+        assert reading.f is not None
+        x, v = np.array(reading.x), np.array(reading.v)
+        spring = np.array((*(300.0 * (np.array((0.02, 0.02 * np.sin(0.01 * k), -0.06)) - x[:3])), *(-0.5 * x[3:])))
+        robot.hold(tuple(spring - np.array((20.0,) * 3 + (0.02,) * 3) * v))
+        if k > 300 and np.linalg.norm(reading.f[3:]) > 0.004:
+            held = jacobian(model, data).T @ -np.array(reading.f)
+            np.testing.assert_allclose(held, data.qfrc_constraint, atol=0.02 * abs(data.qfrc_constraint).max())
+            seen = max(seen, float(np.linalg.norm(reading.f[:3])))
+    assert seen > 1.0
+
+
+def test_the_scene_pose_runs_on_an_arm() -> None:
+    """A tool of six joints comes to the wall, tilts and turns through more than half a turn, as the hand does."""
+    result = run_stepped(load_scene("pose", duration=3.2), {"m": SimulatedMaster, "s": MuJoCoRobot})
+    assert result.status == "ok", result.sentence
+    trace = result.trace
+    about = trace["x_s"][:, 3:] @ (np.sin(0.6), 0.0, np.cos(0.6))
+    assert about[-1] > 1.2 * np.pi
+    assert angle_error(trace, np.arange(len(trace["t"])), 0).max() < 0.15
+    assert trace["f_env"][-1, 0] > 1.0
+    assert abs(trace["x_s"][-1, :3] - trace["x_m"][-1, :3]).max() < 0.02
+
+
+def test_an_arm_of_three_joints_and_a_second_rotation_are_refused() -> None:
+    with pytest.raises(Refused, match=r"end_effector does not move under a push along .*: no motion of its joints does "
+                                      r"that in this pose"):
+        MuJoCoRobot(load_scene("pose"), str(OWN))
+    two = Scene(law=Direct(), axes=6, master=MassDamper(mass=1.0), slave=MassDamper(mass=1.0), rotations=(0, 3))
+    with pytest.raises(Refused, match="the scene has 2 rotations, and an end effector in MuJoCo has one; take a scene"):
+        MuJoCoRobot(two)
