@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import signal
 from argparse import Namespace
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -82,20 +82,10 @@ def test_the_round_trip_had_one_unit_in_ticks_and_in_seconds_and_a_joint_that_of
     assert "rad" in units("stability", "leader_follower", "--time", *joint).values()
 
 
-def test_a_range_is_two_finite_numbers_the_lower_first() -> None:
-    assert typed_range("--range", "-1:2e3", example="1:2") == (-1.0, 2000.0)
-    assert typed_number("--tol", "1e-3", example="0.01") == 1e-3
-
-
-class TestCtrlC:
-    @pytest.fixture(autouse=True)
-    def ctrl_c(self) -> Iterator[None]:
-        """Ctrl-C as a process has it that was started at a terminal."""
-        before = signal.signal(signal.SIGINT, signal.default_int_handler)
-        yield
-        signal.signal(signal.SIGINT, before)
-
-    def test_raises_nothing_and_is_noted_however_often_it_comes(self) -> None:
+def test_ctrl_c_raises_nothing_and_is_noted_however_often_and_is_as_it_was_afterwards() -> None:
+    """Also after an error; where it is ignored it stays so."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
         with interrupts_wait() as interrupt:
             assert not interrupt.is_pending
             for _ in range(3):
@@ -103,8 +93,6 @@ class TestCtrlC:
             assert interrupt.is_pending
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-
-    def test_is_as_it_was_after_an_error_and_stays_ignored_where_it_is(self) -> None:
         with pytest.raises(ZeroDivisionError), interrupts_wait():
             raise ZeroDivisionError
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -113,6 +101,8 @@ class TestCtrlC:
             signal.raise_signal(signal.SIGINT)
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
         assert not interrupt.is_pending
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class TestCommand:
@@ -140,13 +130,14 @@ class TestCommand:
         assert json.loads(Path("runs/wall-test-1/summary.json").read_text()) == {
             "status": "interrupted", "notes": ["interrupted before it was drawn: second"]}
 
-    def test_without_a_request_for_a_folder_there_is_none(self) -> None:
+    def test_a_folder_that_can_be_gone_on_with_gets_no_summary_before_the_end_and_without_a_request_there_is_none(
+            self) -> None:
         answer = command_of(lambda _: self.task(), "test", always=False)(Namespace(out=None))
         assert (answer.text, answer.code, [*Path().iterdir()]) == ("found", 0, [])
-
-    def test_a_folder_that_can_be_gone_on_with_gets_no_summary_before_the_end(self) -> None:
         for code, names in ((130, set()), (0, {"numbers", "summary.json"})):
             Path("mine").mkdir(exist_ok=True)
             answer = command_of(lambda _, code=code: self.task(Path("mine"), code), "test")(  # type: ignore[misc]
                 Namespace(out="mine"))
             assert (answer.code, {path.name for path in Path("mine").iterdir()}) == (code, names)
+        assert typed_range("--range", "-1:2e3", example="1:2") == (-1.0, 2000.0)
+        assert typed_number("--tol", "1e-3", example="0.01") == 1e-3

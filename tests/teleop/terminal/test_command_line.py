@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gc
 import json
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,6 +19,7 @@ import pytest
 import teleop.simulation.result
 import teleop.terminal.plotting
 import teleop.terminal.run
+from master.steered import SteeredMaster
 from scenarios.__main__ import main as console_entry
 from teleop import load_result, load_scene, run
 from teleop.__main__ import main
@@ -73,12 +75,11 @@ class TestARun:
         assert 0 < len(stored.trace["t"]) == stored.ticks < 10_000
 
     def test_takes_the_last_of_two_settings_and_the_link_option_over_the_scenes(self, typed: Typed) -> None:
-        typed("run", "canonical", *SHORT, "--set", "delay=0.1", "--set", "delay=0.01", "--out", "knob")
-        assert load_result("knob").metrics["T_fwd_max"] == pytest.approx(0.01)
-        typed("run", "canonical", *SHORT, "--link", "delay(0.02) ; delay(0.03)", "--out", "link")
-        stored = load_result("link")
-        assert stored.metrics["T_fwd_max"] == pytest.approx(0.02)
-        assert stored.metrics["T_bwd_max"] == pytest.approx(0.03)
+        for words, fwd, bwd in ((("--set", "delay=0.1", "--set", "delay=0.01"), 0.01, 0.01),
+                                (("--link", "delay(0.02) ; delay(0.03)"), 0.02, 0.03)):
+            typed("run", "canonical", *SHORT, *words, "--out", str(fwd))
+            metrics = load_result(str(fwd)).metrics
+            assert (metrics["T_fwd_max"], metrics["T_bwd_max"]) == pytest.approx((fwd, bwd))
         assert "packets" not in typed("run", "canonical", *SHORT, "--link", "none").out
 
 
@@ -123,58 +124,60 @@ def test_a_report_draws_only_if_it_is_asked_to_and_can_write_and_names_the_file(
     assert Path("here/plot.png").read_bytes().startswith(b"\x89PNG")
 
 
-class TestDemo:
-    def test_hands_on_what_was_typed_and_shows_the_result(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
-        asked: list[Any] = []
+def test_a_demo_hands_on_what_was_typed_and_shows_the_result(typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
 
-        def demo(scene_name: str, knobs: dict[str, str], ends: EndOptions, **rest: Any) -> Any:
-            asked.append((scene_name, knobs, ends, rest))
-            folder = claim(rest["out"], rest["stem"]).path
-            return replace(run(load_scene(scene_name, duration=0.05)), mode="lockstep", path=folder)
+    def demo(scene_name: str, knobs: dict[str, str], ends: EndOptions, **rest: Any) -> Any:
+        asked.append((scene_name, knobs, ends, rest))
+        folder = claim(rest["out"], rest["stem"]).path
+        return replace(run(load_scene(scene_name, duration=0.05)), mode="lockstep", path=folder)
 
-        monkeypatch.setattr("teleop.live.demo.demo", demo)
-        answer = typed("demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep", "--robot",
-                       "csv:a.csv")
-        assert answer.code == 0
-        assert "live in lockstep" in answer.out
-        assert answer.out.endswith("written to runs/hard_wall-1\n")
-        command = ["teleop", "demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep", "--robot",
-                   "csv:a.csv"]
-        rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "command": command, "realtime": True}
-        assert not Path("runs/hard_wall-1/plot.png").exists()
-        ends = EndOptions(lockstep=True, robot="csv:a.csv")
-        assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, ends, rest)]
-        if find_spec("matplotlib"):
-            assert typed("demo", "--plot").out.endswith("\nplot: runs/hard_wall-2/plot.png\n")
+    monkeypatch.setattr("teleop.live.demo.demo", demo)
+    words = ("demo", "--set", "k_e=5", "--link", "delay(0.1)", "--seed", "3", "--lockstep", "--robot", "csv:a.csv")
+    answer = typed(*words)
+    assert answer.code == 0
+    assert "live in lockstep" in answer.out
+    assert answer.out.endswith("written to runs/hard_wall-1\n")
+    rest = {"seed": 3, "out": None, "stem": "hard_wall", "json": False, "command": ["teleop", *words], "realtime": True}
+    assert not Path("runs/hard_wall-1/plot.png").exists()
+    ends = EndOptions(lockstep=True, robot="csv:a.csv")
+    assert asked == [("hard_wall", {"k_e": "5", "link": "delay(0.1)"}, ends, rest)]
+    if find_spec("matplotlib"):
+        assert typed("demo", "--plot").out.endswith("\nplot: runs/hard_wall-2/plot.png\n")
 
 
 class TestTheFirstWords:
-    """What `teleop` alone says."""
-
-    def test_fit_a_small_terminal_and_lead_to_the_rest(self, typed: Typed) -> None:
+    def test_fit_a_small_terminal_and_are_three_things_to_try_of_which_the_third_comes_to_what_it_says(
+            self, typed: Typed) -> None:
         answer = typed()
         assert (answer.code, answer.err) == (0, "")
         lines = answer.out.splitlines()
         assert len(lines) <= 20
         assert max(map(len, lines)) < 80
         assert "teleop --help" in lines[-1]
-
-    def test_are_three_things_to_try_that_can_be_typed(self, typed: Typed) -> None:
-        tried = [line.split()[1:] for line in typed().out.splitlines() if line.startswith("  teleop ")]
+        tried = [line.split()[1:] for line in lines if line.startswith("  teleop ")]
         assert [words[0] for words in tried] == ["demo", "demo", "run"]
         for words in tried:
             assert parser().parse_args(words).scene
+        for law, status in (("direct", "diverged"), ("wave", "ok")):
+            assert run(load_scene("soft_tissue", law=law, delay="0.05")).status == status
 
-    def test_a_command_that_builds_its_own_options_alone_has_those_that_all_commands_together_give_it(
+    def test_help_names_every_command_which_builds_alone_the_options_that_all_together_give_it(
         self, capsys: pytest.CaptureFixture[str]
     ) -> None:
+        with pytest.raises(SystemExit):
+            main(["--help"])
+        out = capsys.readouterr().out
         for name in COMMANDS:
+            assert f"\n    {name}" in out
             texts = []
             for known in (parser(), parser(name)):
-                with pytest.raises(SystemExit):
+                with pytest.raises(SystemExit) as ended:
                     known.parse_args([name, "--help"])
+                assert ended.value.code == 0
                 texts.append(capsys.readouterr().out)
             assert texts[0] == texts[1], name
+            assert f"usage: teleop {name}" in texts[0]
 
     def test_garbage_is_collected_from_the_command_on_and_after_a_refusal(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -183,33 +186,10 @@ class TestTheFirstWords:
                                            "from scenarios.canonical import scene\n")
         for words, code, out in ((["run", "tells.py", *SHORT], 0, "collects True\n"), (["no such command"], 2, "")):
             monkeypatch.chdir(tmp_path)
-            monkeypatch.setattr("sys.argv", ["teleop", *words])
+            monkeypatch.setattr(sys, "argv", ["teleop", *words])
             assert console_entry() == code
             assert capsys.readouterr().out.startswith(out)
             assert gc.isenabled()
-
-    def test_say_of_the_third_what_it_comes_to(self) -> None:
-        assert run(load_scene("soft_tissue", law="direct", delay="0.05")).status == "diverged"
-        assert run(load_scene("soft_tissue", law="wave", delay="0.05")).status == "ok"
-
-
-class TestHelp:
-    def test_is_given_by_its_option_for_all_and_for_every_command(self, capsys: pytest.CaptureFixture[str]) -> None:
-        with pytest.raises(SystemExit):
-            main(["--help"])
-        out = capsys.readouterr().out
-        for command in COMMANDS:
-            assert f"\n    {command}" in out
-            with pytest.raises(SystemExit) as ended:
-                main([command, "--help"])
-            assert ended.value.code == 0
-            assert f"usage: teleop {command}" in capsys.readouterr().out
-
-    def test_is_reached_through_the_console_entry_point(self, capsys: pytest.CaptureFixture[str],
-            monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(sys, "argv", ["teleop", "list", "wave"])
-        assert console_entry() == 0
-        assert "law wave" in capsys.readouterr().out
 
 
 class TestAWrongRequest:
@@ -228,7 +208,8 @@ class TestAWrongRequest:
         monkeypatch.setattr(Path, "mkdir", raising(PermissionError(errno.EACCES, "Permission denied")))
         typed("run", "canonical", "--out", "new/run").assert_refused("Permission denied", "--out")
 
-    def test_on_a_full_disk_leaves_nothing(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_on_a_full_disk_or_interrupted_leaves_nothing_and_a_bug_keeps_its_traceback(
+            self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         def full(file: BinaryIO, _: object) -> None:
             file.write(b"half of it")
             raise OSError(errno.ENOSPC, "No space left on device")
@@ -236,12 +217,13 @@ class TestAWrongRequest:
         monkeypatch.setattr(teleop.simulation.result, "write_arrays", full)
         answer = typed("run", "canonical", *SHORT, "--out", "new/folders/run")
         answer.assert_refused("No space left", "nothing was left", "--out")
-
-    def test_interrupted_leaves_nothing(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(teleop.terminal.run, "run", raising(KeyboardInterrupt()))
         answer = typed("run", "canonical")
         assert (answer.code, answer.out, answer.err.count("\n")) == (130, "", 1)
         assert "interrupted" in answer.err
+        monkeypatch.setattr(teleop.terminal.run, "run", raising(KeyError("a bug")))
+        with pytest.raises(KeyError):
+            typed("run", "canonical")
 
     def test_without_matplotlib_a_plot_is_refused_before_it_runs(
             self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,24 +234,16 @@ class TestAWrongRequest:
             for option in (["--plot"], ["--format", "pdf,svg"]):
                 typed(*words, *option).assert_refused("pip install 'bilateral-teleop[plot]'")
 
-    def test_that_is_a_bug_keeps_its_traceback(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(teleop.terminal.run, "run", raising(KeyError("a bug")))
-        with pytest.raises(KeyError):
-            typed("run", "canonical")
-
 
 class TestAProcess:
-    def test_ends_with_the_code_of_its_answer(self, process: Any, ended: Any) -> None:
-        ended(process("-m", "scenarios", "run", "nothing")).assert_refused("nothing")
 
-    def test_whose_reader_has_seen_enough_ends_quietly(self, process: Any) -> None:
+    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+    def test_whose_reader_has_seen_enough_ends_quietly_and_one_whose_output_cannot_be_written_says_so(
+            self, process: Any, ended: Any) -> None:
         started = process("-m", "scenarios", "list")
         started.stdout.close()
         assert started.stderr.read() == ""
         assert started.wait() == 0
-
-    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
-    def test_whose_output_cannot_be_written_says_so(self, process: Any, ended: Any) -> None:
         with open("/dev/full", "w") as full:
             ended(process("-m", "scenarios", "list", stdout=full)).assert_refused("No space left")
 
@@ -290,3 +264,53 @@ class TestAProcess:
             assert (answer.code, answer.err) == (0, "")
             assert not {"\x1b", "\r", "\b"} & set(answer.out)
             assert json.loads(answer.out)["status"] == "ok"
+
+
+# `teleop run SCENE --hand FOLDER`: a person's own drag again, in virtual time
+
+
+Typed = Callable[..., Any]
+
+
+@pytest.fixture
+def drag(typed: Typed, tmp_path: Path) -> Path:  # noqa: ARG001 - it is run in a folder of its own
+    """The folder of a master whose hand was dragged into the wall within 0.8 s."""
+    folder = tmp_path / "drag"
+    folder.mkdir()
+    device = SteeredMaster(load_scene("hard_wall"))
+    device.record(folder)
+    device.steer([0.05])
+    device.read(800)
+    device.record(None)
+    return folder
+
+
+def test_it_is_the_run_that_python_makes_and_says_whose_hand_it_was(typed: Typed, drag: Path) -> None:
+    """Its report needs no folder of the drag, and a duration that is set stands."""
+    answer = typed("run", "hard_wall", "--hand", "drag", "--set", "law=pfra", "--out", "here")
+    assert (answer.code, answer.err) == (0, "")
+    stored, ours = load_result("here"), run(load_scene("hard_wall", hand=drag, law="pfra"))
+    assert stored.ticks == 800
+    for name, column in ours.trace.items():
+        np.testing.assert_array_equal(stored.trace[name], column)
+    summary = json.loads(Path("here/summary.json").read_text())
+    assert summary["parameters"]["hand"] == "drag"
+    assert summary["parameters"]["duration"] == 0.8
+    assert summary["command"][-2:] == ["--out", "here"]
+    first = typed("run", "hard_wall", "--hand", str(drag), "--set", "duration=0.3", "--out", "short")
+    assert "ran to its end" in first.out
+    shutil.rmtree(drag)
+    again = typed("report", "short", "--json")
+    assert (again.code, again.err) == (0, "")
+    assert json.loads(again.out)["ticks"] == 300
+
+
+def test_what_is_no_drag_for_the_scene_is_refused_before_anything_is_written(typed: Typed, drag: Path) -> None:
+    Path("alone.py").write_text(
+        "from teleop import MassDamper, Scene, Wave\n\n\ndef scene(*, duration: float = 1.0) -> Scene:\n"
+        "    return Scene(law=Wave(), master=MassDamper(mass=0.1), slave=MassDamper(mass=0.5), duration=duration)\n")
+    for scene, sentence in (
+            ("recorded_reach", "was recorded in 1 axis with dt=0.001 s, and the scene has 3 axes"),
+            ("alone.py", "moves nothing in a scene without a hand")):
+        typed("run", scene, "--hand", str(drag)).assert_refused(sentence)
+        assert not Path("runs").exists()

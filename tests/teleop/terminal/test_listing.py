@@ -90,41 +90,37 @@ class TestList:
 
 
 class TestTables:
-    def test_metrics_are_all_there_with_unit_meaning_and_what_they_need(self, typed: Typed) -> None:
+
+    def test_metrics_are_all_there_and_bodies_are_the_methods_by_names_that_run_takes(self, typed: Typed) -> None:
         rows = json.loads(typed("list", "metrics", "--json").out)["metrics"]
         assert [row["name"] for row in rows] == [*METRICS]
         assert all(row["unit"] and row["meaning"] and row["needs"] for row in rows)
         assert "scenarios/examples/metric.py" in typed("list", "metrics").out
-
-    def test_bodies_are_the_methods_by_names_that_run_takes(self, typed: Typed) -> None:
         rows = json.loads(typed("list", "bodies", "--json").out)["bodies"]
         assert [row["name"] for row in rows] == ["exact", *(f"{method.name}:N" for method in METHODS)]
         assert [row["order"] for row in rows] == [None, *(method.order for method in METHODS)]
         for row in rows:
             run(load_scene("hard_wall", duration=0.01), bodies=row["name"].replace("N", "2"))
 
-    def test_playouts_are_what_their_knob_takes(self, typed: Typed) -> None:
+    def test_playouts_are_what_their_knob_takes_and_keep_what_the_list_claims(self, typed: Typed) -> None:
+        """Of hold see tests/scenarios/test_random_links.py."""
         rows = json.loads(typed("list", "playout", "--json").out)["playout"]
         words = {"SECONDS": "0.1", "TARGET": "0.01", "RATE": "0.1", "GAPS": "integral"}
         typed_as = [re.sub("[A-Z]+", lambda found: words[found[0]], row["name"]) for row in rows]
         made = [load_scene("hard_wall", playout=each).playout for each in typed_as]
         assert [as_typed(each) for each in made if each is not None] == typed_as
         assert len(set(map(str, made))) == len(rows) == 8
-
-    def test_a_playout_keeps_what_the_list_claims(self) -> None:
-        """Of hold see tests/scenarios/test_random_links.py."""
         for playout in ("zero", "fixed:0.08", "integral", "integral:0.01", "energy", "fixed:0.06:integral"):
             scene = load_scene("jittery_wan", playout=playout, link="delay(0.05) | uniform(0.03) | bernoulli(0.4)",
                                f_max="none", slew="none", timeout="none", duration=2.0)
             assert run(scene).metrics["E_link_min"] > -1e-9, playout
 
-    def test_stages_are_in_the_order_of_the_tick_with_the_law_between(self, typed: Typed) -> None:
+    def test_stages_are_in_the_order_of_the_tick_and_each_is_turned_on_by_the_field_that_the_list_names(
+            self, typed: Typed) -> None:
         rows = json.loads(typed("list", "stages", "--json").out)["stages"]
         names = [row["name"] for row in rows]
         assert [name for name in names if name != "(law)"] == [place.name for place in STAGES]
         assert names[names.index("(law)") - 1:names.index("(law)") + 2] == ["wave_scaling", "(law)", "compute_delay"]
-
-    def test_a_stage_is_turned_on_by_the_field_that_the_list_names(self) -> None:
         laws = {"observer": PFRA(), "law_ledger": find_law("pspm")()}  # those that have use for the stage
         for place in STAGES:
             bare = replace(load_scene("canonical"), observer=None, energy=False, law=laws.get(place.name, Wave()))

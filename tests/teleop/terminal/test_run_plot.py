@@ -37,20 +37,13 @@ def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return look
 
 
-@pytest.fixture(scope="module")
-def joints() -> Result:
-    return run(load_scene("leader_follower", duration=0.8))
-
-
-def test_six_joints_have_a_column_of_panels_each_and_what_is_of_all_one_panel(drawn: Any, joints: Result) -> None:
+def test_six_joints_have_a_column_of_panels_each_and_of_sixteen_axes_those_are_drawn_of_most_work(drawn: Any) -> None:
+    joints = run(load_scene("leader_follower", duration=0.8))
     figure = drawn(joints)
     assert [axes.get_title() for axes in figure.axes if axes.get_title()] == [*JOINTS]
-    assert len(figure.axes) == 3 * 6 + 1
+    assert len(figure.axes) == 3 * 6 + 1, "what is of all axes has one panel"
     assert figure.axes[0].get_ylabel().startswith("position (")
     assert figure.axes[0].get_ylabel().endswith("rad)")
-
-
-def test_of_sixteen_axes_those_are_drawn_over_which_most_work_was_done(drawn: Any, joints: Result) -> None:
     trace = {name: np.concatenate([column, column, column[:, :4]], axis=1) if column.ndim > 1 else column
              for name, column in joints.trace.items()}
     trace["f_m"] = trace["f_m"] * np.arange(16)  # the later copy of a joint did more work
@@ -61,13 +54,16 @@ def test_of_sixteen_axes_those_are_drawn_over_which_most_work_was_done(drawn: An
     assert "6 of 16 axes are drawn" in figure.get_suptitle()
 
 
+def labels(axes: Any) -> list[str]:
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
 def test_axes_in_m_and_in_rad_have_scales_of_their_own(drawn: Any) -> None:
     figure = drawn(run(unlike(duration=0.2)))
     units = [axes.get_ylabel().rpartition("(")[2] for axes in figure.axes]
     assert [unit.endswith("rad)") for unit in units[:2]] == [True, False]
     assert [unit.endswith("N m)") for unit in units[2:6]] == [True, False, True, False]
-    assert [text.get_text() for text in figure.axes[1].get_legend().get_texts()] == [
-        "$x_m$ master, rail", "$x_s$ slave, rail"]
+    assert labels(figure.axes[1]) == ["$x_m$ master, rail", "$x_s$ slave, rail"]
 
 
 @pytest.fixture(scope="module")
@@ -78,10 +74,6 @@ def wave() -> Result:
 @pytest.fixture(scope="module")
 def lossy() -> Result:
     return run(load_scene("hard_wall", link="delay(0.05) | bernoulli(0.1)", playout="zero", duration=3.0), seed=1)
-
-
-def labels(axes: Any) -> list[str]:
-    return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
 class TestWhatIsDrawn:
@@ -109,17 +101,16 @@ class TestWhatIsDrawn:
             assert over.get_alpha() is None
             assert under.get_color() != over.get_color()
 
-    def test_a_long_sentence_is_not_cut_off_at_the_edges(self, drawn: Any, wave: Result) -> None:
-        figure = drawn(replace(wave, sentence="diverged, " + "and more of it, " * 12))
-        figure.canvas.draw()
-        box = figure._suptitle.get_window_extent()
-        assert 0.0 < box.x0 < box.x1 < figure.bbox.width
-
-    def test_a_scene_has_a_panel_of_energy_or_of_queues_only_where_it_has_them(self, drawn: Any) -> None:
+    def test_a_scene_has_a_panel_of_energy_or_of_queues_only_where_it_has_them_and_a_long_sentence_is_not_cut_off(
+            self, drawn: Any, wave: Result) -> None:
         assert len(drawn(run(load_scene("canonical", duration=0.1, energy=False))).axes) == 3
         panel = drawn(run(load_scene("hard_wall", link="delay(0.01) | bernoulli(0.1)", duration=0.5))).axes[3]
         assert panel.get_ylabel() == "queue of waves (ms)"
         assert {label.split(":")[0] for label in labels(panel)} == {"backward", "forward"}
+        figure = drawn(replace(wave, sentence="diverged, " + "and more of it, " * 12))
+        figure.canvas.draw()
+        box = figure._suptitle.get_window_extent()
+        assert 0.0 < box.x0 < box.x1 < figure.bbox.width
 
     def test_of_three_axes_the_legend_names_x_y_and_z_of_each_quantity(self, drawn: Any, wave: Result) -> None:
         three = np.stack([wave.trace["x_m"]] * 3, axis=1)
@@ -139,7 +130,9 @@ class TestUnderLoss:
             assert len(line.get_xdata()) == 375
         assert [band.get_alpha() < 0.3 for band in force.collections] == [True, True]
 
-    def test_its_mean_and_its_range_are_those_of_the_ticks_in_each_bin(self, lossy: Result) -> None:
+    def test_its_mean_and_its_range_are_those_of_the_ticks_in_each_bin_the_last_of_which_may_be_shorter(
+            self, lossy: Result) -> None:
+        """A curve that does not jump is drawn tick by tick."""
         bins = binned(lossy.trace["t"], lossy.trace["f_m"])
         assert bins is not None
         ticks = lossy.trace["f_m"].reshape(-1, bins.ticks)
@@ -147,18 +140,13 @@ class TestUnderLoss:
         np.testing.assert_array_equal(bins.least, ticks.min(axis=1))
         np.testing.assert_array_equal(bins.greatest, ticks.max(axis=1))
         np.testing.assert_allclose(bins.t, lossy.trace["t"].reshape(-1, bins.ticks).mean(axis=1))
-
-    def test_a_curve_that_does_not_jump_is_drawn_tick_by_tick(self) -> None:
-        t = np.arange(10_000) * 1e-3
-        for smooth in (np.sin(t), np.sin(30.0 * t), np.maximum(np.sin(30.0 * t) - 0.5, 0.0)):  # contacts too
-            assert binned(t, smooth) is None
-
-    def test_the_last_bin_may_be_shorter(self) -> None:
-        jumps = np.arange(1001) % 2.0
-        bins = binned(np.arange(1001.0), jumps)
+        bins = binned(np.arange(1001.0), np.arange(1001) % 2.0)
         assert bins is not None
         assert (bins.ticks, len(bins.mean)) == (3, 334)
         assert (bins.mean[-1], bins.least[-1], bins.greatest[-1]) == (0.5, 0.0, 1.0)
+        t = np.arange(10_000) * 1e-3
+        for smooth in (np.sin(t), np.sin(30.0 * t), np.maximum(np.sin(30.0 * t) - 0.5, 0.0)):  # contacts too
+            assert binned(t, smooth) is None
 
 
 @pytest.mark.full
@@ -207,16 +195,13 @@ def test_each_column_of_pixels_has_the_extremes_of_its_rows_and_of_few_rows_each
     assert np.array_equal(greatest, [each.max() if len(each) else np.nan for each in some], equal_nan=True)
 
 
-def test_a_spike_of_one_tick_in_a_million_is_seen_across_the_blocks_that_are_read() -> None:
+def test_a_spike_of_one_tick_in_a_million_is_seen_across_blocks_and_ticks_left_out_for_a_column_are_a_gap() -> None:
     values = np.zeros(1_000_000)
     values[[BLOCK - 1, BLOCK, 777_777]] = 1.0, -2.0, 3.0
     _, least, greatest = points(np.arange(1_000_000) * 1e-3, values, 1000.0, 600)
     assert np.flatnonzero(greatest == 3.0).tolist() == [777_777 * 600 // 1_000_000]
     edge = BLOCK * 600 // 1_000_000
     assert (least[edge], greatest[edge]) == (-2.0, 1.0)
-
-
-def test_ticks_that_were_left_out_for_longer_than_a_column_are_a_gap() -> None:
     t = np.concatenate([np.arange(0, 4000), np.arange(8000, 10_000)]) * 1e-3
     _, least, _ = points(t, np.ones(6000), 10.0, 100)
     assert np.isnan(least).nonzero()[0].tolist() == [*range(40, 80)]

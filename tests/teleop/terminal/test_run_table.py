@@ -1,4 +1,4 @@
-"""The table of a run, and that no text in it gives the terminal an order."""
+"""The table of a run, its numbers as a person reads them, and that no text in it gives the terminal an order."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from teleop import Refused, Result, load_scene, run
 from teleop.simulation.result import Packets
 from teleop.terminal.options import guarded
 from teleop.terminal.run_table import heading, table
-from teleop.terminal.table import printable
+from teleop.terminal.table import PREFIX, columns, duration, facts, grouped, printable, si
 
 
 def rows(result: Result) -> dict[str, list[str]]:
@@ -41,10 +43,8 @@ class TestTable:
         assert told["delay seen"] == ["50.0 ms fwd, 50.0 ms bwd"]
         assert told["packets"][0] == "fwd: 1000 sent, 950 received, 0 lost, 0 late, 50 under way at the end"
         assert told["link energy"][0].startswith("0 J smallest, ")
-
-    def test_a_law_that_keeps_energy_says_how_much(self) -> None:
-        told = rows(run(load_scene("canonical", law="two_layer", duration=0.5)))
-        assert re.fullmatch(r"-?[\d.]+ \w?J smallest, [\d.]+ \w?J at the end", told["law energy"][0])
+        kept = rows(run(load_scene("canonical", law="two_layer", duration=0.5)))["law energy"][0]
+        assert re.fullmatch(r"-?[\d.]+ \w?J smallest, [\d.]+ \w?J at the end", kept)
 
     def test_says_the_queue_and_what_a_wave_takes_with_it(self, wave: Result) -> None:
         got = run(load_scene("canonical", duration=1.0, link="delay(0.05)|bernoulli(0.1)"))
@@ -151,7 +151,8 @@ class TestText:
         assert not any(line.startswith(("status   ok", "note   forged")) for line in shown.split("\n"))
         assert r"\x1b[2J" in shown
 
-    def test_of_a_refusal_gives_the_terminal_no_orders_either(self, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_of_a_refusal_gives_the_terminal_no_orders_either_and_at_length_is_cut(
+            self, capsys: pytest.CaptureFixture[str]) -> None:
         def refuse() -> int:
             raise Refused(NASTY + "x" * 10_000)
 
@@ -159,10 +160,8 @@ class TestText:
         said = capsys.readouterr().err
         assert said.removesuffix("\n").isprintable()
         assert len(said) < 5000
-
-    def test_that_is_told_at_length_is_cut_and_lines_stay_where_they_are_wanted(self) -> None:
         assert printable("x" * 10, most=5) == "xx..."
-        assert printable("a\nb\x1b", lines=True, most=2) == "a\nb\\x1b"
+        assert printable("a\nb\x1b", lines=True, most=2) == "a\nb\\x1b", "lines stay where they are wanted"
 
 
 def test_figures_over_axes_in_m_and_in_rad_have_no_unit_and_say_so() -> None:
@@ -175,15 +174,59 @@ def test_figures_over_axes_in_m_and_in_rad_have_no_unit_and_say_so() -> None:
     assert "over axes" not in joints["tracking error"][0]
 
 
-def test_two_runs_with_other_gains_had_the_same_header() -> None:
-    heads = [heading(run(load_scene("hard_wall", duration=0.01, law=law))) for law in ("wave", "wave()")]
-    assert heads == ["hard_wall, law wave(b=20, K=1000, B=20)", "hard_wall, law wave(b=2, K=500, B=20)"]
-
-
-def test_another_law_ran_with_untuned_gains_and_no_note() -> None:
+def test_another_law_ran_with_untuned_gains_and_no_note_and_two_with_other_gains_had_the_same_header() -> None:
+    heads = []
     for knobs, noted in (({"law": "pfra"}, True), ({"law": "deadband(0.1) | pfra"}, True), ({}, False),
                          ({"law": "pfra", "law.alpha": "0.5"}, False), ({"law": "wave"}, False),
                          ({"law": "wave()"}, False)):
-        notes = run(load_scene("hard_wall", duration=0.01, **knobs)).notes
+        result = run(load_scene("hard_wall", duration=0.01, **knobs))
+        heads.append(heading(result))
         assert any("runs with its defaults, which are not tuned for scene hard_wall" in note
-                   for note in notes) == noted, knobs
+                   for note in result.notes) == noted, knobs
+    assert heads[-2:] == ["hard_wall, law wave(b=20, K=1000, B=20)", "hard_wall, law wave(b=2, K=500, B=20)"]
+
+
+# Aligned text, facts and columns, and numbers as a person reads them: SI prefixes, durations, counts
+
+
+def test_facts_stand_below_each_other_behind_the_longest_label_each_on_its_line() -> None:
+    assert facts([("run", "a"), ("", "b"), ("longest", "c")]) == "run       a\n          b\nlongest   c"
+    assert facts([("scene", "x\nstatus   ok\x1b[2J")]) == r"scene   x\nstatus   ok\x1b[2J"
+    assert facts([]) == ""
+
+
+def test_columns_are_as_wide_as_their_widest_cell_and_end_without_blanks() -> None:
+    lines = columns([("name", "size", "note"), ("a", "10", ""), ("bcdef", "7", "odd")], left=(0, 2)).splitlines()
+    assert lines == ["name   size  note", "a        10", "bcdef     7  odd"]
+
+
+@given(st.floats(min_value=1e-9, max_value=9.99e11) | st.floats(min_value=-9.99e11, max_value=-1e-9))
+def test_a_number_with_a_prefix_reads_back_to_three_digits(value: float) -> None:
+    number, unit = si(value, "m").split(" ")
+    factor = {letter: 1e3**power for power, letter in PREFIX.items()}[unit.removesuffix("m")]
+    assert float(number) * factor == pytest.approx(value, rel=5.001e-3)
+    assert 1.0 <= abs(float(number)) < 1000.0
+    assert len(re.sub(r"[-.]", "", number)) == 3
+
+
+def test_a_number_beyond_the_prefixes_or_none_is_read_all_the_same() -> None:
+    for value, text in ((0.0, "0 m"), (-0.0, "0 m"), (-0.011, "-11.0 mm"), (999.6, "1.00 km"), (0.0009996, "1.00 mm"),
+                        (5.08e17, "5.08e+17 m"), (1.7e-18, "1.70e-18 m"), (float("inf"), "inf m"),
+                        (float("nan"), "nan m")):
+        assert si(value, "m") == text
+
+
+@given(st.floats(min_value=0.0, max_value=1e9))
+def test_a_duration_reads_back_in_a_unit_that_suits_it(seconds: float) -> None:
+    text, unit = duration(seconds).split(" ")
+    read = float(text) * {"s": 1.0, "min": 60.0, "h": 3600.0}[unit]
+    assert read == pytest.approx(seconds, rel=0.0502, abs=1.0 if unit == "s" else 0.0)
+    assert "e" not in text
+    assert text != "0"
+    assert (unit == "s") == (seconds < 99.5)
+
+
+@given(st.integers(0, 10**20))
+def test_a_count_reads_back_from_groups_of_three(count: int) -> None:
+    assert int(grouped(count).replace(" ", "")) == count
+    assert all(len(group) == 3 for group in grouped(count).split(" ")[1:])

@@ -1,4 +1,4 @@
-"""What a person sees on a terminal: colours and folded facts, and nothing changed elsewhere."""
+"""What a person sees on a terminal: colours, folded facts, progress; and nothing changed elsewhere."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pty
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.scene.library import ROOT
-from teleop.terminal.progress import Progress
+from teleop.terminal.progress import Progress, RowsProgress, shown_on
 from teleop.terminal.screen import BAD, BOLD, GOOD, NOTICE, answer, columns, has_colours, render
 from teleop.terminal.table import facts, folded
 from tests.fakes import Terminal
@@ -97,15 +97,15 @@ class TestAnAnswer:
 
 
 class TestAFact:
-    def test_that_is_too_long_goes_on_below_its_own_beginning(self) -> None:
+
+    def test_that_is_too_long_goes_on_below_its_own_beginning_but_where_it_has_what_to_copy_columns_or_no_room(
+            self) -> None:
         table = facts([("run", "hard_wall"), ("queue", WORDS)])
         assert folded(table, 60).split("\n") == [
             "run     hard_wall",
             "queue   so a wave takes 51.8 ms fwd, 51.8 ms bwd, delay and",
             "        queue, of which the first",
         ]
-
-    def test_is_left_as_it_is_where_it_has_something_to_copy_or_columns_or_there_is_no_room(self) -> None:
         for typed in ("`teleop list laws`", "--set duration=11.6", "type  sudo sysctl --system"):
             table = facts([("run", "hard_wall"), ("note", f"{WORDS} {typed}")])
             assert folded(table, 60) == table
@@ -163,3 +163,151 @@ def test_a_command_has_colours_on_a_terminal_and_the_same_bytes_as_ever_elsewher
     assert ORDERS.sub("", coloured) == plain == piped
     assert "\x1b" not in document
     assert refusal.startswith(inside(BAD, "teleop:") + " ")
+
+
+# The line that shows how far a command has come
+
+
+def narrow(monkeypatch: pytest.MonkeyPatch, width: int) -> Terminal:
+    """A terminal so many width wide."""
+    monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((width, 24)))
+    return Terminal()
+
+
+def rows_shown(total: int, steps: Iterable[tuple[int, float]], stream: Terminal | None = None) -> str:
+    """The line after so many rows were done at these times, s."""
+    stream = stream or Terminal()
+    progress = RowsProgress(stream)
+    for done, now in steps:
+        progress.show(done, total, now)
+    (line,) = stream.lines()
+    return line.rstrip()
+
+
+class TestProgressOnATerminal:
+    def test_rewrites_one_line_with_bar_share_time_left_and_text(self) -> None:
+        stream = Terminal()
+        progress = Progress(stream, 200)
+        progress.show(0, 10.0, "x 1.0 mm")
+        assert stream.lines() == ["[....................]    0%  x 1.0 mm"]
+        progress.show(50, 12.0, "x 2.0 mm")
+        assert stream.lines() == ["[#####...............]   25%  6 s left  x 2.0 mm"]
+        progress.show(200, 18.0, "x")
+        assert stream.lines() == ["[####################]  100%  x                 "]
+        progress.end()
+        assert stream.getvalue().endswith("\n")
+        assert "\x1b" not in stream.getvalue()
+
+    def test_takes_what_was_done_at_the_first_call_for_no_rate(self) -> None:
+        """As at an end of a run that comes when a third of it is over."""
+        stream = Terminal()
+        progress = Progress(stream, 30)
+        progress.show(10, 0.0)
+        assert stream.lines() == ["[#######.............]   33%"]
+        progress.show(15, 5.0)
+        assert stream.lines()[0].rstrip() == "[##########..........]   50%  15 s left"
+
+    def test_writes_at_most_ten_times_a_second_but_always_the_end_of_more_than_everything_or_of_nothing(self) -> None:
+        stream = Terminal()
+        progress = Progress(stream, 1000)
+        for k in range(1001):
+            progress.show(k, k * 1e-3)
+        assert stream.getvalue().count("\r") <= 12
+        assert "100%" in stream.lines()[0]
+        for total, done in ((10, 20), (0, 0)):
+            stream = Terminal()
+            Progress(stream, total).show(done, 0.0)
+            assert "100%" in stream.lines()[0]
+        stream = Terminal()
+        Progress(stream, 10).end()
+        assert stream.getvalue() == ""
+
+    def test_never_reaches_the_edge_and_leaves_out_whole_parts_what_matters_least_first(
+            self, monkeypatch: pytest.MonkeyPatch) -> None:
+        live, critical = ("f 1.0 N  x 2.0 mm", "rtt 100 ms  jitter 2.0 ms"), ("critical k_e of law wave, 3 of 7",)
+        for width, parts, line in (
+                (100, live, "[##########..........]   50%  1 s left  f 1.0 N  x 2.0 mm  rtt 100 ms  jitter 2.0 ms"),
+                (80, live, " 50%  1 s left  f 1.0 N  x 2.0 mm  rtt 100 ms  jitter 2.0 ms"),
+                (54, live, " 50%  1 s left  f 1.0 N  x 2.0 mm  rtt 100 ms"),
+                (36, live, " 50%  1 s left  f 1.0 N  x 2.0 mm"), (26, live, " 50%  f 1.0 N  x 2.0 mm"),
+                (20, live, " 50%  f 1.0 N"), (10, live, " 50%  f 1"),
+                (40, critical, " 50%  critical k_e of law wave, 3 of 7"),
+                (40, ("x" * 100,), " 50%  " + "x" * 33)):
+            stream = narrow(monkeypatch, width)
+            progress = Progress(stream, 10)
+            progress.show(0, 0.0)
+            progress.show(5, 1.0, *parts)
+            assert stream.lines()[0].rstrip() == line
+            assert max(map(len, stream.lines())) < width
+
+
+class TestRowsOnATerminal:
+    def test_have_a_rate_without_what_it_took_until_the_first_came_or_those_that_were_there_before(self) -> None:
+        compiling = [(0, 0.0), (1, 20.0), (4, 20.4)]  # 20 s of it
+        half = [*compiling, (1201, 22.0)]
+        for steps, shown in (
+                (compiling[:1], "[....................]  0 of 4800 rows  starting"),
+                (compiling, "[....................]  4 of 4800 rows"),  # a bunch: no rate yet
+                (half, "[#####...............]  1201 of 4800 rows  600 rows/s  6 s left"),
+                ([*half, (4800, 28.0)], "[####################]  4800 of 4800 rows  600 rows/s"),
+                ([(4000, 0.0)], "[#################...]  4000 of 4800 rows  starting"),
+                ([(4000, 0.0), (4010, 3.0), (4110, 4.0)],
+                 "[#################...]  4110 of 4800 rows  100 rows/s  7 s left"),
+                ([(4800, 0.0)], "[####################]  4800 of 4800 rows")):
+            assert rows_shown(4800, steps) == shown
+
+    def test_have_the_rate_of_the_last_seconds_and_one_if_they_take_longer_than_that(self) -> None:
+        faster = [(second + 99 * max(0, second - 30), float(second)) for second in range(60)]  # 1 a second, then 100
+        assert "  100 rows/s  " in rows_shown(10_000, faster)
+        assert "  0.017 rows/s  7 min left" in rows_shown(10, [(done, 60.0 * done) for done in range(4)])
+
+    def test_leave_out_what_matters_least_where_it_is_narrow(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        for width, line in (
+                (80, "[####################]  999 000 of 1 000 000 rows  100 rows/s  10 s left"),
+                (60, "999 000 of 1 000 000 rows  100 rows/s  10 s left"),
+                (59, "999 000 of 1 000 000 rows  100 rows/s  10 s left"),
+                (40, "999 000 of 1 000 000 rows  10 s left"), (36, "999 000 of 1 000 000  10 s left"),
+                (24, "999 000 of 1 000 000"), (12, "999 000 of")):
+            stream = narrow(monkeypatch, width)
+            assert rows_shown(1_000_000, [(0, 0.0), (998_000, 5.0), (999_000, 15.0)], stream) == line
+            assert max(map(len, stream.lines())) < width
+        # no bar that would come and go
+        assert rows_shown(10, [(0, 0.0)], narrow(monkeypatch, 40)) == "0 of 10 rows  starting"
+        assert rows_shown(10, [(0, 0.0), (1, 1.0)], narrow(monkeypatch, 40)) == "1 of 10 rows"
+
+
+class TestElsewhere:
+    def test_plain_lines_are_written_seconds_apart_and_none_for_what_is_short(self) -> None:
+        for total, step, shown in ((12_000, 1e-3, ["42%  7 s left  x 1.0 mm", "83%  2 s left  x 1.0 mm"]),
+                                   (100, 0.01, [])):
+            stream = Terminal(is_terminal=False)
+            progress = Progress(stream, total)
+            for k in range(total + 1):
+                progress.show(k, 100.0 + k * step, "x 1.0 mm")
+            progress.end()
+            assert stream.getvalue().splitlines() == shown
+            assert not {"\r", "\x1b"} & set(stream.getvalue())
+        stream = Terminal(is_terminal=False)
+        rows = RowsProgress(stream)
+        for second in range(13):
+            rows.show(10 * second, 1000, float(second))
+        rows.end()
+        assert stream.getvalue().splitlines() == [
+            "50 of 1000 rows  10 rows/s  95 s left", "100 of 1000 rows  10 rows/s  90 s left"]
+
+
+def test_a_stream_tells_how_much_is_done_and_goes_on_below_whatever_happens() -> None:
+    stream, now = Terminal(), iter([0.0, 1.0])
+
+    def fail_half_way() -> None:
+        with shown_on(stream, lambda: next(now), 2.0) as show:
+            show(0.0, "begun")
+            show(1.0, "half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail_half_way()
+    assert stream.lines()[-2].split() == ["[##########..........]", "50%", "1", "s", "left", "half"]
+    assert stream.getvalue().endswith("\n")
+    with shown_on(None, lambda: 0.0) as show:
+        show(0.5, "half")
