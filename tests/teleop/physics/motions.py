@@ -7,11 +7,10 @@ import random
 from typing import Any, NamedTuple
 
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
+from teleop.analysis.precision.reference.reference import settle
 from teleop.physics.implicit import Effort
-from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, Core, resistance_force
+from teleop.physics.sdirk import NOTHING, WALL, Core
 
 TOL = 1e-9
 DT = 1e-3
@@ -57,75 +56,9 @@ def run(plant: Any, x: float, v: float, forces: list[float]) -> tuple[list[tuple
     return states, Effort(*z)
 
 
-def raw(c: Core, p: float, u: float) -> float:
-    return 1.0 + c[6] * u if c[0] == HUNT_CROSSLEY else c[3] * p + c[4] * u
-
-
-def reference(c: Core, p: float, u: float, f: float, s: float, dt: float) -> tuple[float, float]:  # noqa: PLR0912
-    """The motion of `integrate` by DOP853 from event to event, each mode with its own smooth equation."""
-    kind, m, b, k, d, n, lam, fc = c
-    for _ in range(100):
-        if kind in (NOTHING, BOND):
-            touch = int(kind == BOND)
-        elif p < 0.0 or (p == 0.0 and u < 0.0):
-            touch = 0
-        else:
-            touch = 1 if raw(c, p, u) > 0.0 or p == 0.0 else 2
-
-        def g(p: float, u: float, touch: int = touch) -> float:
-            if touch != 1:
-                return 0.0
-            return k * max(p, 0.0)**n * (1.0 + lam * u) if kind == HUNT_CROSSLEY else k * p + d * u
-
-        push = f - b * u - g(p, u)
-        way = math.copysign(1.0, u + s) if u + s != 0.0 else math.copysign(1.0, push) if abs(push) > fc else 0.0
-        if fc == 0.0:
-            way = 0.0
-        if fc > 0.0 and way == 0.0:  # it sticks, and p runs straight on, until the force is too large
-            def over(t: float, p: float = p, u: float = u) -> float:
-                return abs(f - b * u - resistance_force(c, p + u * t, u)) - fc
-
-            if s == 0.0 or over(dt) <= 0.0:
-                return p + u * dt, u
-            t = brentq(over, 0.0, dt, xtol=1e-16) + 1e-9 * dt
-            p, dt = p + u * t, dt - t
-            continue
-
-        def rate(_: float, y: Any, way: float = way, g: Any = g) -> list[float]:
-            return [y[1], (f - b * y[1] - g(y[0], y[1]) - way * fc) / m]
-
-        stops = []
-        if kind in (WALL, HUNT_CROSSLEY):
-            stops.append(at_zero(lambda y: y[0], 1.0 if touch == 0 else -1.0))
-        if touch in (1, 2) and kind != BOND:
-            stops.append(at_zero(lambda y: raw(c, y[0], y[1]), -1.0 if touch == 1 else 1.0))
-        if way != 0.0:
-            stops.append(at_zero(lambda y: y[1] + s, -way))
-        scale = abs(p) + abs(u) * dt + abs(f) / m * dt * dt
-        done = solve_ivp(rate, (0.0, dt), (p, u), "DOP853", rtol=1e-12, atol=[1e-14 * scale, 1e-13 * scale / dt],
-                         events=stops, max_step=dt / 25)
-        p, u = (float(value) for value in done.y[:, -1])
-        if done.status == 0:
-            return p, u
-        dt -= float(done.t[-1])
-        which = next(i for i, found in enumerate(done.t_events) if len(found))
-        if way != 0.0 and which == len(stops) - 1:
-            u = -s
-        elif which == 0:
-            p = 0.0
-        elif touch == 1:  # it lets go: the force is 0 and stays so for the moment
-            u -= 1e-14 * (1.0 + abs(u))
-        else:
-            u += 1e-14 * (1.0 + abs(u))
-    raise AssertionError("the reference does not end")
-
-
-def at_zero(of: Any, direction: float) -> Any:
-    def event(_t: float, y: Any) -> float:
-        return float(of(y))
-
-    event.terminal, event.direction = True, direction  # type: ignore[attr-defined]
-    return event
+def reference(c: Core, p: float, u: float, f: float, s: float, dt: float) -> tuple[float, float]:
+    """The motion of `integrate` by DOP853 from event to event."""
+    return settle(c, p, u, f, s, dt, "DOP853")[:2]
 
 
 def struck(dice: random.Random) -> tuple[Core, float, float, float, float]:

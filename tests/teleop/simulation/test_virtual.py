@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import teleop.simulation.bodies
@@ -17,6 +16,8 @@ from channel import Bernoulli, Delay, Link, UniformJitter
 from master.hand import Grip, Rest
 from slave import Tissue
 from teleop import Direct, MassDamper, Refused, Scene, Wave, load_scene, run
+from teleop.analysis.precision.reference.reference import settle
+from teleop.physics.sdirk import WALL
 from teleop.simulation.prepared import prepare
 from teleop.simulation.virtual import run_prepared
 
@@ -148,8 +149,8 @@ class Reference:
     """The canonical scene as its equations say, by general-purpose integrators.
 
     The gripped master goes by a matrix exponential of the whole state (x, v, x_ref, v_ref, f), the slave by
-    DOP853 with the changes of contact located as events; waves go through plain lists. Nothing of the stack
-    is used.
+    DOP853 with the changes of contact located as events; waves go through plain lists. Nothing of the stack's own
+    steps is used.
     """
 
     b: float = 2.0
@@ -172,40 +173,10 @@ class Reference:
 
     def slave_step(self, x: float, v: float, f: float) -> tuple[float, float]:
         """0.5 kg and 1 N s/m beside a wall that cannot pull, f held."""
-        def push(y: np.ndarray) -> float:
-            return self.k_e * (y[0] - self.at) + self.d_e * y[1]
-
-        def depth(_: float, y: np.ndarray) -> float:
-            return float(y[0] - self.at)
-
-        def grip(_: float, y: np.ndarray) -> float:
-            return push(y)
-
-        depth.terminal = grip.terminal = True  # type: ignore[attr-defined]
-        t, y = 0.0, np.array([x, v])
-        inside = x > self.at or (x == self.at and v > 0.0)
-        touching = inside and (x == self.at or push(y) > 0.0)
-        while t < self.dt:
-            depth.direction = -1.0 if inside else 1.0  # type: ignore[attr-defined]
-            grip.direction = -1.0 if touching else 1.0  # type: ignore[attr-defined]
-            events = [grip] if touching else [depth, grip] if inside else [depth]
-            force = push if touching else lambda _: 0.0
-            got = solve_ivp(
-                lambda _, y, force=force: [y[1], (f - force(y) - y[1]) / 0.5], (t, self.dt), y,
-                method="DOP853", rtol=1e-12, atol=1e-15, events=events,
-            )
-            t, y = got.t[-1], got.y[:, -1]
-            if got.status == 1:
-                self.contacts += 1
-                if not inside:
-                    inside = touching = True
-                    y[0] = self.at
-                elif touching:
-                    touching = False
-                else:
-                    touching = len(got.t_events) > 1 and len(got.t_events[1]) > 0
-                    inside = touching
-        return float(y[0]), float(y[1])
+        wall = (WALL, 0.5, 1.0, self.k_e, self.d_e, 1.5, 0.0, 0.0)
+        p, u, changes = settle(wall, float(x) - self.at, float(v), float(f), 0.0, self.dt, "DOP853")
+        self.contacts += changes
+        return self.at + p, u
 
     def run(self, ticks: int) -> dict[str, np.ndarray]:
         root, b, K, B, dt = sqrt(2.0 * self.b), self.b, self.K, self.B, self.dt
