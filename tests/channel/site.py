@@ -42,7 +42,6 @@ class NoWire:
 
 @lru_cache(maxsize=256)
 def packet_of(number: int, kind: Kind, seq: int) -> bytes:
-    """A packet of the session of this number."""
     payload: Any = {Kind.START: 0, Kind.FORTH: (1.0,), Kind.BACK: (1.0,), Kind.BYE: "it is over",
                     Kind.REFUSE: "it is over"}.get(kind, MANIFEST)
     return encode(Packet(kind, number, seq, 0, Echo(0, 0), payload))
@@ -89,7 +88,6 @@ class Site:
         return lambda kind, seq=0: packet_of(number, kind, seq)
 
     def meet(self, number: int, master: Where = MASTER, slave: Where = SLAVE) -> None:
-        """The first exchange of a session."""
         for kind, sender in ((Kind.HELLO, master), (Kind.WELCOME, slave), (Kind.START, master), (Kind.START, slave)):
             assert self.takes(packet_of(number, kind, 0), sender), kind
 

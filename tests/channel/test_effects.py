@@ -41,7 +41,6 @@ COUNT, MS = 20_000, 1_000_000
 
 
 def delays(effect: Effect, seed: int = 1, direction: int = 0) -> NDArray[np.float64]:
-    """Each packet's delay, s, in order of number."""
     packet, time_ns = effect.arrivals(direction, COUNT, MS, seed, 100)
     by_packet = np.argsort(packet)
     assert np.array_equal(packet[by_packet], np.arange(COUNT))
@@ -54,7 +53,6 @@ def lost(effect: Effect, count: int, seed: int = 1) -> NDArray[np.bool_]:
 
 
 def bursts(gone: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The lengths of all runs of losses."""
     edges = np.diff(np.concatenate(([0], gone.astype(int), [0])))
     return np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0)
 
@@ -225,8 +223,6 @@ def test_every_built_in_effect_conforms_and_none_is_forgotten(every_effect: list
 
 @dataclass(frozen=True)
 class Broken(Effect):
-    """An effect with one fault."""
-
     fault: str
     order: ClassVar[Order] = "any"
     reorders: ClassVar[bool] = False

@@ -158,8 +158,6 @@ def test_what_is_no_live_run_is_refused_in_one_sentence(tmp_path: Path) -> None:
 # Delivery traces, against a queue simulated packet by packet
 
 
-
-
 def simulated(trace: list[int], sent_ns: list[int], each: int, queue: int, start_ms: int) -> dict[int, int]:
     """A drop-tail queue served opportunity by opportunity; an opportunity carries what entered before it."""
     waiting: deque[int] = deque()
@@ -253,7 +251,6 @@ rtt min/avg/max/mdev = 0.250/44.050/160.000/58.942 ms
 
 
 def log_of(folder: Path, text: str, **knobs: float) -> PingLog:
-    """The effect of a log with this text."""
     (folder / "ping.txt").write_text(text)
     return PingLog(str(folder / "ping.txt"), **knobs)
 

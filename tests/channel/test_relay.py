@@ -11,7 +11,6 @@ MS = 1_000_000
 
 
 def settled(relay: Relay) -> bool:
-    """True if every datagram is accounted for."""
     both = [relay.counts(way) for way in (0, 1)]
     return all(counts.received + counts.doubled == (
         counts.lost + counts.overflowed + counts.rejected + counts.delivered + counts.under_way) for counts in both)

@@ -26,8 +26,6 @@ pytestmark = pytest.mark.live
 
 
 class Channel:
-    """The process, and a socket for each end."""
-
     def __init__(self, *arguments: str) -> None:
         self.master, self.slave, self.stranger = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3))
         for sock in (self.master, self.slave, self.stranger):

@@ -76,7 +76,6 @@ class StandIn:
         self._clients = []
 
     def drop(self) -> None:
-        """Let go of all connections, and go on listening."""
         for sock, _ in self._clients:
             sock.close()
         self._clients = []
@@ -129,7 +128,6 @@ class StandIn:
         protocol.send_text(said if isinstance(said, bytes) else said.encode())
 
     def state(self, inventory: bool = False) -> dict[str, Any]:
-        """What it says of its devices."""
         x, y, z = self.x
         state = {
             "angular_position": {"a0": 0.0, "a1": 0.0, "a2": 0.0},

@@ -38,7 +38,6 @@ both = pytest.mark.parametrize(("Device", "scene"), [(SimulatedMaster, master), 
 
 
 def readings(device: Any, held: Sequence[tuple[float, ...]]) -> list[Reading]:
-    """What it reads at each tick, the forces held in between."""
     out = []
     for k, force in enumerate(held):
         out.append(device.read(k))

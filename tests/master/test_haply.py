@@ -56,7 +56,6 @@ class Bench:
         return reading
 
     def trouble(self, device: Inverse3, ticks: int = 400) -> str:
-        """What it says is wrong, within so many ticks."""
         for _ in range(ticks):
             try:
                 self.go(device, 1)

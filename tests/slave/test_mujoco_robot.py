@@ -52,7 +52,6 @@ def slider(folder: Path, *, damping: float = 1.0, site: str = "end_effector", mo
 
 
 def moved(robot: Any, forces: Sequence[tuple[float, ...]]) -> list[Any]:
-    """The readings at the ticks 0 .. n under the forces held from each of them."""
     readings = [robot.read(0)]
     for k, force in enumerate(forces):
         robot.hold(force)

@@ -147,7 +147,6 @@ LATER: dict[str, tuple[str, str]] = {  # mistakes in a line that runs only when 
 
 @pytest.fixture
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Writes a scene's file with a law in it, in the current folder; the place that its sentence has to name."""
     monkeypatch.chdir(tmp_path)
 
     def write(method: str, how: str = FROZEN, *, one_port: bool = False) -> str:
@@ -171,7 +170,6 @@ def law_of_file() -> Any:
 
 
 def typed(main: Any, *arguments: str) -> tuple[int, str]:
-    """The exit code of a command and what it wrote to stderr."""
     err = io.StringIO()
     with contextlib.redirect_stderr(err), contextlib.redirect_stdout(io.StringIO()):
         code = main(list(arguments))

@@ -76,24 +76,18 @@ def test_plain_functions_that_it_calls_count_even_in_a_circle_and_so_do_comprehe
 
 @dataclass(frozen=True, kw_only=True)
 class Inherits(wave.Wave):
-    """A law that has another as its base class."""
-
     def slave(self, s: wave.WaveSlave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.WaveSlave]:
         return super().slave(s, at, rx)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Names(wave.Wave):
-    """A law that names the class of another."""
-
     def slave(self, s: wave.WaveSlave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.WaveSlave]:
         return Base.slave(self, s, at, rx)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Keeps(wave.Wave):
-    """A law that keeps another."""
-
     inner: wave.Wave = wave.Wave()
 
     def slave(self, s: wave.WaveSlave, at: At, rx: wave.Forth) -> tuple[float, wave.Back, wave.WaveSlave]:

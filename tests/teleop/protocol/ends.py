@@ -82,7 +82,6 @@ class Both:
         self.ticks: dict[str, list[int]] = {"m": [], "s": []}
 
     def run(self) -> Both:
-        """All ticks of the scene."""
         of = self.scene
         relay = Relay(of.link, SEED, of.wire_size)  # type: ignore[arg-type]
         devices: dict[str, Any] = {"m": SimulatedMaster(of), "s": SimulatedSlave(of)}
@@ -112,7 +111,6 @@ class Both:
         return self
 
     def trace(self) -> dict[str, Any]:
-        """As the trace of a run."""
         link = self.scene.link is not None
         return assemble(prepare(self.scene), {
             e: EndRecord(range(self.scene.ticks), self.rows[e], self.played[e] if link else None) for e in "ms"})

@@ -24,7 +24,6 @@ def guard(dog: Watchdog | None = DOG, **other: bool) -> ForceGuard:
 
 
 def play(one: ForceGuard, ticks: range, got: bool = True, trouble: str | None = None) -> list[float]:
-    """The gain at these ticks."""
     reason = None if trouble is None else Reason(Cause.DEVICE, trouble)
     return [one.step(k, got, reason) for k in ticks]
 

@@ -22,7 +22,6 @@ LAWS: dict[str, Any] = {"wave": Wave(b=2.0, K=200.0, B=5.0), "direct": Direct(K=
 
 
 def running(scene: Any = SCENE, **other: Any) -> World:
-    """Two ends that have been running for a while."""
     return World(scene, **other).assert_both_play(5.0, after=2.0)
 
 
@@ -104,7 +103,6 @@ def test_whoever_stood_still_goes_on(who: str, away: float) -> None:
 
 
 def session(world: World, e: str) -> list[Done]:
-    """The ticks of the session that is running."""
     done = world.done[e]
     process = max(i for i, each in enumerate(done) if each.first)
     return [each for each in done[process:] if each.met == done[-1].met]

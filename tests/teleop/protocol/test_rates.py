@@ -33,7 +33,6 @@ ZERO, INTEGRAL = Zero(), Integral()
 
 
 def column(world: World, e: str, name: str) -> dict[int, float]:
-    """One column of an end's record, by the tick."""
     names = columns(world.scene, e)
     i = [each.removesuffix("@") for each in names].index(name)
     return {done.k: done.row[i] for done in world.done[e]}

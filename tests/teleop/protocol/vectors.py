@@ -21,7 +21,6 @@ def vectors() -> dict[str, Any]:
 
 
 def packet_of(found: dict[str, Any]) -> Packet:
-    """The packet of these fields."""
     kind, payload, echo = Kind[found["kind"]], found["payload"], found["echo"]
     own = int(payload) if kind is Kind.START else tuple(payload) if isinstance(payload, list) else payload
     return Packet(kind, int(found["session"]), found["seq"], int(found["sent_ns"]),

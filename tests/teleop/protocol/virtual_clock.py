@@ -46,7 +46,6 @@ class Clock:
     _since: int = 0
 
     def at(self, true: int) -> int:
-        """What it shows."""
         return true + self.offset + round((true - self._since) * self.ppm * 1e-6)
 
     def when(self, shown: int) -> int:
@@ -58,8 +57,6 @@ class Clock:
 
 
 class Done(NamedTuple):
-    """One tick of a process."""
-
     true: int
     k: int
     force: float
@@ -86,7 +83,6 @@ class Process:
     queue: list[tuple[int, bytes]] = field(default_factory=list)  # when they came, by its clock
 
     def now(self) -> int:
-        """By its own clock."""
         return self.world.clocks[self.e].at(self.world.true)
 
     def next(self) -> int:
@@ -99,14 +95,12 @@ class Process:
         return max(self.world.true + 1, self.world.clocks[self.e].when(due))
 
     def take_in(self, most: int) -> None:
-        """Read what has come."""
         taken, self.queue = self.queue[:most], self.queue[most:]
         for came, data in taken:
             for reply in self.end.receive(data, came):
                 self.world.send(self.e, reply)
 
     def wake(self) -> None:
-        """Do what is due."""
         session, now = self.end.session, self.now()
         self.take_in(DRAIN if self.ticking else 10**9)
         if session.failure is not None or session.left:
@@ -126,7 +120,6 @@ class Process:
             self.world.send(self.e, data)
 
     def tick(self, now: int) -> None:
-        """One tick, if one is due."""
         session, world = self.end.session, self.world
         assert session.start_ns is not None
         every = self.end.every
@@ -178,13 +171,11 @@ class World:
             self.start(e)
 
     def end(self, e: str) -> Endpoint:
-        """The endpoint that runs there."""
         process = self.processes[e]
         assert process is not None
         return process.end
 
     def start(self, e: str, *, scene: Scene | None = None) -> None:
-        """Start end `e` anew: another process that remembers nothing."""
         self.kill(e)
         number = self.dice.getrandbits(64) if e == "m" else None
         session = Session(master=e == "m", manifest=manifest_of(scene or self.scene), number=number,
@@ -201,7 +192,6 @@ class World:
         self.devices[e].hold((0.0,))
 
     def restart(self, who: str, away: float) -> None:
-        """Kill these ends, and start them anew after so many seconds."""
         for e in who:
             self.kill(e)
         self.run(away)
@@ -209,7 +199,6 @@ class World:
             self.start(e)
 
     def stand_still(self, who: str, away: float) -> None:
-        """Stop the processes of these ends for so many seconds."""
         for is_asleep in (True, False):
             for e in who:
                 self.pause(e, is_asleep)
@@ -217,25 +206,21 @@ class World:
                 self.run(away)
 
     def pause(self, e: str, asleep: bool) -> None:
-        """Stop a process (its motor holds on) or continue it."""
         process = self.processes[e]
         if process is not None:
             process.asleep = asleep
             self.wakes[e] = self.true
 
     def cut_off(self, who: str, away: float) -> None:
-        """Lose for so many seconds what these ends send."""
         self.cut = set(who)
         self.run(away)
         self.cut = set()
 
     def step(self, e: str, by: int) -> None:
-        """Set a clock forth or back."""
         self.clocks[e].offset += by
         self.wakes[e] = self.true
 
     def send(self, e: str, data: bytes) -> None:
-        """`e` sends this."""
         other = "s" if e == "m" else "m"
         dice, control = self.dice, peek(data)[0] not in (Kind.FORTH, Kind.BACK)
         if self.drops(e, data) or e in self.cut or (dice.random() < self.loss):
@@ -256,7 +241,6 @@ class World:
             process.take_in(10**9)
 
     def run(self, seconds: float) -> World:
-        """Let so much true time pass."""
         until = self.true + round(seconds * S)
         while True:
             wake = min((self.wakes[e] for e, p in self.processes.items() if p and not p.asleep and not p.over),
@@ -277,7 +261,6 @@ class World:
         return self
 
     def both_play(self, e: str | None = None) -> bool:
-        """Are the ends (or this one) there, calm, and at full gain?"""
         for one in e or "ms":
             process = self.processes[one]
             if process is None or process.over or not process.ticking or process.asleep:

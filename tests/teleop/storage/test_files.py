@@ -194,7 +194,6 @@ def test_a_pickle_or_another_shape_in_a_trace_is_refused(tmp_path: Path) -> None
 
 
 def head_of(rows: int) -> bytes:
-    """The head of an array of so many numbers."""
     head = io.BytesIO()
     np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (rows,)})
     return head.getvalue()

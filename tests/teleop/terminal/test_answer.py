@@ -23,7 +23,6 @@ PRECISION = ("precision", "hard_wall", "--set", "duration=0.02", "--rounds", "1"
 
 
 def keys_of(document: Any, path: tuple[str, ...] = ()) -> set[str]:
-    """Every key of a document, and its path."""
     if isinstance(document, list):
         return {key for each in document for key in keys_of(each, path)}
     if not isinstance(document, dict):

@@ -138,7 +138,6 @@ PARTS = ("Cap", "Deadband", "Device", "Encoder", "Energy", "Handover", "Integral
 
 
 def with_stage(scene: Scene, place: Place) -> str:
-    """The ends of a scene that have a stage."""
     return "".join(e for e in "ms" if place.stage() in getattr(structure_of(scene), e).stages)
 
 

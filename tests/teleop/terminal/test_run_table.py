@@ -18,7 +18,6 @@ from teleop.terminal.table import PREFIX, columns, duration, facts, grouped, pri
 
 
 def rows(result: Result) -> dict[str, list[str]]:
-    """The table as label -> texts."""
     found: dict[str, list[str]] = {}
     for line in table(result).splitlines():
         label, text = re.split(r" {3,}", line, maxsplit=1)

@@ -35,7 +35,6 @@ WORDS = "so a wave takes 51.8 ms fwd, 51.8 ms bwd, delay and queue, of which the
 
 @pytest.fixture(autouse=True)
 def usual(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A terminal as most are."""
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.setenv("TERM", "xterm-256color")
 
@@ -169,7 +168,6 @@ def test_a_command_has_colours_on_a_terminal_and_the_same_bytes_as_ever_elsewher
 
 
 def narrow(monkeypatch: pytest.MonkeyPatch, width: int) -> Terminal:
-    """A terminal so many width wide."""
     monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((width, 24)))
     return Terminal()
 

@@ -25,8 +25,6 @@ STEP = 4  # ms between two packets of an end
 
 
 class Met(NamedTuple):
-    """What a meeting came to."""
-
     took: int  # ms
     master: Association
     slave: Association | None
@@ -34,8 +32,6 @@ class Met(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Two ends that have met."""
-
     master: Association
     slave: Association
 
@@ -84,7 +80,6 @@ def meet(keys: list[Key]) -> Callable[..., Met]:
 
 @pytest.fixture(scope="session")
 def associated(meet: Callable[..., Met]) -> Callable[[], Pair]:
-    """`associated()`: two ends that have met, anew at every call."""
 
     def pair() -> Pair:
         met = meet()
@@ -154,7 +149,6 @@ class World:
         self.go(1 - way, back)
 
     def go(self, way: int, out: list[Any]) -> None:
-        """Send these."""
         for data, at in out:
             self.to[way][at] += 1
             if at in ((self.from_,) if way else (SLAVE, self.answers)):

@@ -361,7 +361,6 @@ SHARED = bytes(range(MATERIAL))
 
 @pytest.fixture
 def pair() -> tuple[DataRecords, DataRecords]:
-    """The two ends of the same secret."""
     return DataRecords(SHARED, server=False), DataRecords(SHARED, server=True)
 
 

@@ -44,7 +44,6 @@ Master = Callable[[], tuple[Association, bytes]]
 
 
 def with_cookie(gate: Gate, begun: tuple[Association, bytes], at: tuple[str, int] = AT, now: int = 0) -> bytes:
-    """The hello that comes back with its cookie."""
     association, hello = begun
     (cookie,) = gate.receive(hello, at, now)[1]
     (again,) = association.receive(cookie, 0)[1]
@@ -52,7 +51,6 @@ def with_cookie(gate: Gate, begun: tuple[Association, bytes], at: tuple[str, int
 
 
 def let_in(gate: Gate, begun: tuple[Association, bytes], at: tuple[str, int] = AT, now: int = 0) -> Association:
-    """Through the gate, at once."""
     (flight,) = gate.receive(with_cookie(gate, begun, at, now), at, now)[1]
     (proof,) = begun[0].receive(flight, 0)[1]
     association, (last,) = gate.receive(proof, at, now)

@@ -32,7 +32,6 @@ def control(kind: Kind, payload: Payload, session: int = OURS, sent_ns: int = ST
 
 
 def at(k: int) -> int:
-    """The time of tick k, ns."""
     return START + k * MS
 
 
@@ -50,7 +49,6 @@ Change = Callable[[str, int, bytes], Iterable[tuple[int, bytes]]]
 
 
 def untouched(_e: str, _k: int, datagram: bytes) -> list[tuple[int, bytes]]:
-    """As a wire of 10 ms."""
     return [(10, datagram)]
 
 
