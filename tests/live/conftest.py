@@ -20,6 +20,7 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
+from teleop.errors import DeviceError
 from teleop.live.devices import call_watch
 from teleop.live.driving import run
 from teleop.live.net.wire import Wire, bind_udp
@@ -130,6 +131,21 @@ class Pair:
 def pair(tmp_path: Path) -> Callable[..., Pair]:
     """`pair(scene, ...)`: two ends, not run yet, that record below a fresh folder."""
     return lambda scene, **other: Pair(scene, tmp_path / f"pair{time.monotonic_ns()}", **other)
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[..., Any]]:
+    """`opened(thing)`: it is closed in the end, whatever it raises then."""
+    things: list[Any] = []
+
+    def keep(thing: Any) -> Any:
+        things.append(thing)
+        return thing
+
+    yield keep
+    for each in reversed(things):
+        with suppress(DeviceError, OSError):
+            each.close()
 
 
 LOSSY = "delay(0.05) | bernoulli(0.05) | duplicate(0.05, after=0.002)"

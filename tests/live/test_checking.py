@@ -121,6 +121,8 @@ def test_a_device_passes_and_moves_the_way_that_its_end_asks_for(e: str, make: A
     assert found.moved[0] < 0.0 if e == "m" else found.moved[0] > 0.0
     assert found.rate == pytest.approx(1.0 / (found.read_median + found.hold_median))
     assert found.notes == ()
+    found, _ = checked(10, reads=lambda _now: Reading((0.5,), (0.0,)))
+    assert "no force moved it along x" in found.notes[-1], "its sign is not known"
 
 
 def forgets() -> None:
@@ -156,7 +158,10 @@ def test_a_mistake_is_refused_by_its_sentence(knobs: dict[str, Any], words: str)
 
 
 def test_a_machine_is_pushed_only_when_it_is_asked_for_gently_and_ends_at_zero() -> None:
-    """What does not say that it is simulated is taken for a machine, which nobody pushes unasked."""
+    """What does not say that it is simulated is taken for a machine, which nobody pushes unasked.
+
+    One that fails meanwhile is given zero, and one whose force outlives this process is not pushed.
+    """
     found, every = checked(10, is_machine=True)
     assert set(every[-1].held) == {0.0}
     assert "the sign of its force was not tried" in found.notes[0]
@@ -167,17 +172,11 @@ def test_a_machine_is_pushed_only_when_it_is_asked_for_gently_and_ends_at_zero()
     assert held[-1] == 0.0
     assert every[-1].closed == 1
     assert 0.0 < found.moved[0] < 0.006
-
-
-def test_a_machine_that_fails_while_it_is_pushed_is_given_zero_and_closed() -> None:
     found, every = checked(10, push=True, is_machine=True,
                            reads=lambda now: ZeroDivisionError() if now.f > 0.05 else at(now))
     assert "raised ZeroDivisionError" in str(found)
     assert max(every[-1].held) > 0.05
     assert (every[-1].held[-1], every[-1].closed) == (0.0, 1)
-
-
-def test_a_machine_whose_force_outlives_this_process_is_not_pushed() -> None:
     found, _ = checked(10, push=True, is_machine=True, deadline=None)
     assert "neither a deadline nor a watchdog" in str(found)
 
@@ -264,7 +263,7 @@ class Bare:
 """
 
 
-def test_a_device_without_a_deadline_passes_with_a_note_that_its_force_stays_on(
+def test_a_device_without_a_deadline_passes_with_a_note_that_its_force_stays_on_and_a_mistake_has_exit_code_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str],
 ) -> None:
     """`teleop check` ended in a TypeError for the device that it most needs to warn of."""
@@ -273,11 +272,6 @@ def test_a_device_without_a_deadline_passes_with_a_note_that_its_force_stays_on(
     answer = capsys.readouterr().out
     assert "lets go not at all if this process dies" in answer
     assert "it has neither a deadline nor a watchdog: the force of an end that dies stays on" in answer
-
-
-def test_the_command_names_a_mistake_and_ends_with_exit_code_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str],
-) -> None:
     (tmp_path / "late.py").write_text(BARE.format(deadline="deadline = 150"))
     assert main(["check", "robot", f"{tmp_path}/late.py"]) == 1
     assert "its deadline is long\n  its deadline is 150 s" in capsys.readouterr().out
@@ -399,24 +393,18 @@ def test_a_right_device_was_accused_where_the_machine_was_busy_for_20_ticks() ->
         check_velocity(motion(0.3, jump=0.2), 0.0)
 
 
-def test_the_command_tells_it_and_has_it_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_tells_it_and_has_it_as_json_and_of_unlike_axes_each_by_its_name_in_its_unit(
+    capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two axes moved "by 0.01, 0.02 m or rad" under "1 N or N m"."""
     assert main(["check", "robot", "simulated", "--ticks", "50"]) == 0
     told = capsys.readouterr().out
     assert "robot simulated: 1 axis, without a force sensor, simulated" in told
     assert "lets go by itself after 0.15 s" in told
     assert main(["check", "device", "simulated", "--ticks", "50", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["moved"][0] < 0.0
-
-
-def test_of_a_push_along_unlike_axes_each_is_told_by_its_name_in_its_unit(capsys: pytest.CaptureFixture[str]) -> None:
-    """It moved "by 0.01, 0.02 m or rad" under "1 N or N m"."""
     assert main(["check", "robot", "simulated", "bench_top", "--ticks", "50", "--set", "axes=2",
                  "--set", "units=m,rad", "--set", "names=rail,turn"]) == 0
     told = capsys.readouterr().out
     assert re.search(r"push    moved it by [\d.]+ m along rail \(0.1 N\), [\d.]+ rad along turn \(0.1 N m\): the right",
                      told)
-
-
-def test_a_device_that_does_not_move_says_that_its_sign_is_not_known() -> None:
-    found, _ = checked(10, reads=lambda _now: Reading((0.5,), (0.0,)))
-    assert "no force moved it along x" in found.notes[-1]

@@ -85,7 +85,14 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     return Bench(monkeypatch)
 
 
-def test_a_force_that_is_not_renewed_is_set_to_zero_once_and_told(bench: Bench) -> None:
+def test_a_force_that_is_renewed_is_left_alone_and_one_that_is_not_is_set_to_zero_and_told_once(bench: Bench) -> None:
+    for _ in range(100):
+        bench.watched.hold(ONE)
+        bench.look(140.0)
+    bench.watched.hold(ZERO)
+    bench.look(10_000.0)
+    assert bench.zeroed == [], "nor is an end that holds none"
+    bench.ms = 1000.0
     bench.watched.hold(ONE)
     bench.look(150.0)
     assert (bench.arm.force, bench.zeroed) == (ONE, [])
@@ -97,30 +104,19 @@ def test_a_force_that_is_not_renewed_is_set_to_zero_once_and_told(bench: Bench) 
     assert len(bench.zeroed) > 1, "again and again: a call that hung may have come through"
 
 
-def test_a_force_that_is_renewed_is_left_alone_and_so_is_an_end_that_holds_none(bench: Bench) -> None:
-    for _ in range(100):
-        bench.watched.hold(ONE)
-        bench.look(140.0)
-    bench.watched.hold(ZERO)
-    bench.look(10_000.0)
-    assert bench.zeroed == []
-
-
-def test_a_force_that_the_device_does_not_take_is_not_renewed(bench: Bench) -> None:
+def test_the_first_force_is_watched_before_the_device_has_it_and_one_that_it_does_not_take_is_not_renewed(
+    bench: Bench
+) -> None:
+    bench.arm.holds = meanwhile(lambda: seen.append(bench.words[BEAT]))
+    seen: list[int] = []
     bench.watched.hold(ONE)
+    assert seen == [bench.now()]
     bench.arm.holds = raising(DeviceError("the amplifier is off"))
     for _ in range(20):
         with pytest.raises(DeviceError):
             bench.watched.hold(ONE)
         bench.look(10.0)
     assert bench.zeroed
-
-
-def test_the_first_force_is_watched_before_the_device_has_it(bench: Bench) -> None:
-    bench.arm.holds = meanwhile(lambda: seen.append(bench.words[BEAT]))
-    seen: list[int] = []
-    bench.watched.hold(ONE)
-    assert seen == [bench.now()]
 
 
 def test_an_end_that_comes_back_reads_nothing_and_holds_zero_until_the_watchdog_has_seen_it(bench: Bench) -> None:
@@ -210,6 +206,39 @@ def test_a_device_that_is_held_after_the_run_is_held_without_a_watchdog() -> Non
     assert watched.read(5) == one.arm.read(5)
     watched.hold(ONE)
     assert one.arm.force == ONE
+
+
+def test_what_carries_a_weight_is_watched_while_the_laws_force_is_zero() -> None:
+    """A watchdog process goes by the heartbeat: without one an end that is killed would leave the weight on."""
+    class Carrying(Body):
+        """A device that holds 2 N beside the law's."""
+
+        carries = True
+
+        def hold(self, force: tuple[float, ...]) -> None:
+            self.force, self.carries = (force[0] + 2.0,), True
+
+        def let_go(self, zero: tuple[float, ...]) -> None:
+            self.force, self.carries = zero, False
+
+    device = Carrying()
+    watched = WatchedDevice(device, 0.15, mmap(-1, SIZE))
+    words: Any = [0] * 8
+    watched._words, words[SEEN] = words, 1 << 62
+    guarded = GuardedDevice(watched, 1)
+    guarded.read(0, 0)
+    assert guarded.hold(ZERO)
+    assert words[BEAT] > 0
+    assert device.force == (2.0,)
+    words[FIRED] = 1  # it takes over
+    assert not guarded.hold(ZERO)
+    assert device.force == ZERO
+    words[DONE] = 1
+    assert not guarded.hold(ZERO)  # and nothing is carried before the end has seen that
+    assert guarded.hold(ZERO)
+    assert device.force == (2.0,)
+    assert guarded.let_go()
+    assert (device.force, words[BEAT]) == (ZERO, 0)
 
 
 HAPPENS = st.tuples(st.sampled_from(["tick", "still", "both", "hang", "zero"]), st.integers(1, 400))
@@ -314,7 +343,7 @@ def site(command: Callable[..., Command], tmp_path: Path) -> Iterator[Callable[.
     until(lambda: not any(one.watchdogs() for one in sites), "a watchdog stays behind")
 
 
-def test_an_end_that_was_stopped_goes_on_in_the_safe_state_and_its_watchdog_is_armed_again(
+def test_an_end_that_was_stopped_goes_on_in_the_safe_state_and_its_watchdog_is_armed_again_until_that_is_killed(
     site: Callable[..., Site]
 ) -> None:
     one = site()
@@ -324,8 +353,11 @@ def test_an_end_that_was_stopped_goes_on_in_the_safe_state_and_its_watchdog_is_a
         until(lambda: one.motor.force == 0.0, "the force was not set to zero")
         one.slave.signal(signal.SIGCONT)
     until(one.pushes, "the force did not come back")
-    one.slave.signal(signal.SIGTERM)
-    assert one.slave.end()[0] == 0
+    os.kill(one.watchdogs()[0], signal.SIGKILL)
+    one.slave.end()
+    told = summary(one.folder / "slave")
+    assert told["status"] == "stopped"
+    assert "its watchdog process does not answer" in told["sentence"]
     assert one.motor.force == 0.0
     whats = [event["what"] for event in read_events(one.folder / "slave")]
     whys = [event["why"] for event in read_events(one.folder / "slave") if event["what"] == "safe"]
@@ -389,17 +421,6 @@ def test_two_ends_do_not_drive_one_device_and_a_watchdog_outlives_every_signal_t
     until(lambda: not one.watchdogs(), "a watchdog stays behind")
 
 
-def test_an_end_whose_watchdog_was_killed_lets_go_and_says_so(site: Callable[..., Site]) -> None:
-    one = site()
-    until(one.pushes, "no force came about")
-    os.kill(one.watchdogs()[0], signal.SIGKILL)
-    one.slave.end()
-    told = summary(one.folder / "slave")
-    assert told["status"] == "stopped"
-    assert "its watchdog process does not answer" in told["sentence"]
-    assert one.motor.force == 0.0
-
-
 def test_an_end_that_is_started_again_is_never_zeroed_by_the_watchdog_of_the_one_before(
     site: Callable[..., Site]
 ) -> None:
@@ -450,10 +471,8 @@ def test_a_watchdog_finds_a_device_module_that_lies_beside_the_scene_alone(
     own.mkdir()
     (own / "lever.py").write_text("def zeroing():\n    return lambda: None\n")
     (own / "scene_of_mine.py").write_text("from scenarios.hard_wall import scene as scene\n")
-    program = PROGRAM.replace("my_arm:zeroing", "lever:zeroing").replace("raise SystemExit(end_main(\"s\", make))",
-                                                                       "if __name__ == \"__main__\":\n    "
-                                                                       "raise SystemExit(end_main(\"s\", make))")
-    (tmp_path / "my_end.py").write_text(program)
+    (tmp_path / "my_end.py").write_text(PROGRAM.replace("my_arm:zeroing", "lever:zeroing").replace(
+        "raise SystemExit", "if __name__ == '__main__':\n    raise SystemExit"))
     end = command("my_end", str(own / "scene_of_mine.py"), "--listen", "127.0.0.1:0", "--json", "--out",
                   str(tmp_path / "out"))
     assert end.event("listening")["port"] > 0, "its watchdog has opened the lever"

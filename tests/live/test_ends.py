@@ -245,7 +245,7 @@ def test_a_disk_that_fills_up_stops_the_record_and_not_the_loop(command: Start, 
     folder = tmp_path / "runs" / "hard_wall-slave-1"
     until(lambda: (folder / FILE).is_file() and (folder / FILE).stat().st_size == full)
     rows = read_noted(folder)[1]
-    slave.live(lambda numbers: numbers["k"] > rows.ticks[-1] + 1000)
+    slave.live(lambda numbers: numbers["k"] > rows.ticks[-1] + 300)
     slave.signal(signal.SIGTERM)
     assert master.end()[0] == 0
     code, _, err = slave.end()

@@ -220,57 +220,6 @@ def test_a_force_that_stays_on_is_said_and_is_not_ok(pair: Make, monkeypatch: py
 
 # As a process
 
-DEVICE = """
-import asyncio, sys
-from slave.robot import SimulatedSlave
-from teleop.errors import DeviceError
-from teleop.live.end import end_main
-
-
-class Robot(SimulatedSlave):
-    def read(self, k):
-        if k >= 300:
-            {act}
-        return super().read(k)
-
-    def hold(self, force):
-        if {stuck} and not any(force) and any(self._f):
-            raise DeviceError("the amplifier does not answer")
-        super().hold(force)
-
-
-if __name__ == "__main__":
-    raise SystemExit(end_main("s", Robot))
-"""
-
-
-@pytest.mark.parametrize(("act", "stuck", "code", "words"), [
-    ("sys.exit(0)", False, 1, ["raised SystemExit: 0", "its traceback is in"]),
-    pytest.param("raise asyncio.CancelledError", False, 1, ["the device, asked for a reading, raised CancelledError"],
-                 marks=FULL),
-    pytest.param("raise KeyboardInterrupt", False, 1, ["raised KeyboardInterrupt"], marks=FULL),
-    ("raise DeviceError('gone')", True, 3, ["the device fails: gone", "THE FORCE MAY STILL BE ON"]),
-], ids=["exit", "cancelled", "interrupt", "stuck"])
-def test_an_end_whose_driver_breaks_says_so_in_one_sentence_and_its_exit_code(
-    act: str, stuck: bool, code: int, words: list[str], command: Make, tmp_path: Path
-) -> None:
-    (tmp_path / "robot.py").write_text(DEVICE.format(act=act, stuck=stuck))
-    scene = ("canonical", "--set", "duration=20", "--set", "delay=0.002")
-    slave = command("robot", *scene, "--listen", "127.0.0.1:0", "--json", "--out", "s")
-    master = command("master", *scene, "--peer", f"127.0.0.1:{slave.port()}", "--json", "--out", "m")
-    ended, _, err = slave.end()
-    assert (ended, err.count("\n")) == (code, 1), err
-    for word in words:
-        assert word in err
-    assert master.end()[0] == 0
-    told, heard = summary(tmp_path / "s"), summary(tmp_path / "m")
-    assert told["sentence"] in err
-    assert told["sentence"] in heard["sentence"], "the peer is told the truth"
-    assert len(read_record(tmp_path / "s")[1].ticks) == told["ticks"] > 0
-    if "traceback" in err:
-        assert act.rpartition(".")[2].removeprefix("raise ") in (tmp_path / "s" / TRACEBACK).read_text()
-
-
 LAW = """
 from dataclasses import replace
 from teleop.laws.wave import Wave

@@ -14,8 +14,7 @@ from teleop import DeviceError, Reading, Refused, load_scene
 from teleop.live.devices.guarded_device import DEAD_NS, GuardedDevice, deadline_of
 from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.session import Session
-from tests.fakes import raising
-from tests.live.devices import WELL, always, reading
+from tests.fakes import WELL, always, raising, reading
 
 MS = 1_000_000
 X = ((0.0,), (0.0,))
@@ -58,7 +57,7 @@ def test_huge_numbers_a_body_that_has_left_and_a_trusted_device_are_taken_as_the
     assert GuardedDevice(reading(blind), 1, trusted=True).read(0, 0) is blind
 
 
-def test_a_device_that_cannot_hold_is_in_trouble_until_it_can() -> None:
+def test_a_device_that_cannot_hold_is_in_trouble_until_it_can_and_one_that_never_had_a_force_is_asked_once() -> None:
     device = reading(holds=raising(DeviceError("the amplifier is off")))
     guarded = GuardedDevice(device, 1)
     guarded.hold((1.0, 2.0))
@@ -69,15 +68,12 @@ def test_a_device_that_cannot_hold_is_in_trouble_until_it_can() -> None:
     assert device.held == [(0.0,)]
     assert guarded.read(2, 2 * MS) == WELL
     assert guarded.trouble is None
-
-
-def test_a_device_that_never_had_a_force_is_asked_once_and_nothing_is_said_of_it() -> None:
     guarded = GuardedDevice(reading(holds=raising(OSError("no such device"))), 1)
     assert not guarded.let_go()
     assert not guarded.forced
 
 
-def test_a_device_that_fails_for_long_is_given_up_and_one_that_comes_back_is_not() -> None:
+def test_a_device_that_fails_for_long_is_given_up_one_that_comes_back_is_not_and_a_bug_is_not_swallowed() -> None:
     device = reading()
     guarded = GuardedDevice(device, 1)
     guarded.read(0, 0)
@@ -90,9 +86,6 @@ def test_a_device_that_fails_for_long_is_given_up_and_one_that_comes_back_is_not
     device.reads = always(WELL)
     guarded.read(3, first + DEAD_NS + 2)
     assert not guarded.dead(first + DEAD_NS + 2)
-
-
-def test_anything_else_that_it_raises_is_a_bug_and_not_swallowed() -> None:
     with pytest.raises(ZeroDivisionError):
         GuardedDevice(reading(ZeroDivisionError()), 1).read(0, 0)
 
@@ -138,25 +131,18 @@ def test_a_device_that_reads_something_else_is_told_so_at_once_and_how_to_write_
             GuardedDevice(reading(wrong), axes).read(0, 0)
 
 
-@pytest.mark.parametrize(("dt", "every", "stepped", "refused"), [
-    (1e-3, 1, False, False), (1e-3, 75, False, False), (1e-3, 80, False, True), (0.1, 1, False, True),
-    (0.1, 1, True, False),
-])
-def test_an_end_that_would_renew_the_force_too_seldom_for_its_device_is_refused(
-    dt: float, every: int, stepped: bool, refused: bool
-) -> None:
-    scene = load_scene("free_motion", dt=dt)
-    device = SimulatedMaster(scene)
-    session = Session(master=True, manifest={}, number=1, every=every)
-    end = Endpoint(scene, "m", session, Stepped(None) if stepped else None)
-    if refused:
-        with pytest.raises(Refused, match=r"lapses after 0.15 s.*every 0.(08|1) s; tick at least every 0.075 s"):
-            deadline_of(device, end)
-    else:
-        assert deadline_of(device, end) == (None if stepped else device.deadline)
-
-
-def test_a_device_without_a_deadline_is_taken_and_one_whose_deadline_is_no_time_is_not() -> None:
+def test_an_end_that_would_renew_the_force_too_seldom_for_its_device_is_refused_and_a_deadline_of_no_time() -> None:
+    for dt, every, stepped, refused in ((1e-3, 1, False, False), (1e-3, 75, False, False), (1e-3, 80, False, True),
+                                        (0.1, 1, False, True), (0.1, 1, True, False)):
+        scene = load_scene("free_motion", dt=dt)
+        simulated = SimulatedMaster(scene)
+        session = Session(master=True, manifest={}, number=1, every=every)
+        end = Endpoint(scene, "m", session, Stepped(None) if stepped else None)
+        if refused:
+            with pytest.raises(Refused, match=r"lapses after 0.15 s.*every 0.(08|1) s; tick at least every 0.075 s"):
+                deadline_of(simulated, end)
+        else:
+            assert deadline_of(simulated, end) == (None if stepped else simulated.deadline)
     end = Endpoint(load_scene("free_motion"), "m", Session(master=True, manifest={}, number=1))
     device = reading()
     device.deadline = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -15,7 +16,6 @@ import pytest
 
 from master.device import SimulatedMaster
 from scenarios.examples.device import Carriage
-from slave.robot import SimulatedSlave
 from teleop import PFRA, DeviceError, Direct, Reading, load_result, load_scene
 from teleop.__main__ import main
 from teleop.live.in_process import run_stepped
@@ -25,16 +25,15 @@ from teleop.live.records.reader import OWN
 from teleop.live.records.record import read_events
 from teleop.live.replay.rerun import difference, read_end
 from teleop.live.summary import UNWATCHED
-from tests.fakes import Body
+from teleop.scene.library import ROOT
+from tests.fakes import Body, always, reading, standing
 from tests.live.conftest import Command, summary
-from tests.live.devices import always, reading, standing
 
 pytestmark = pytest.mark.live
 
 
 Make = Callable[..., Any]
 SCENE = replace(load_scene("hard_wall", duration=0.4), link=None)
-INNER: dict[str, Any] = {"m": SimulatedMaster, "s": SimulatedSlave}
 
 
 def run_with(pair: Make, scene: Any, **devices: Any) -> tuple[Any, tuple[Path, Path]]:
@@ -80,12 +79,11 @@ def test_an_end_whose_device_fails_is_safe_and_comes_back_by_itself(pair: Make) 
     assert trace["g_m"][-1] == 1.0
 
 
-@pytest.mark.parametrize("e", ["m", "s"])
-def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence_at_both_ends(e: str, pair: Make) -> None:
+def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence_at_both_ends(pair: Make) -> None:
     scene = replace(SCENE, duration=5.0)
     gone = OSError("the bus is gone")
-    device = Body(inner=INNER[e](scene), reads=lambda k, now: always(gone if k >= 100 else now)(k, now))
-    both = pair(scene, parts={**{"m": {}, "s": {}}, e: {"device": device}}).run()
+    device = Body(inner=SimulatedMaster(scene), reads=lambda k, now: always(gone if k >= 100 else now)(k, now))
+    both = pair(scene, parts={"m": {"device": device}, "s": {}}).run()
     assert both.errors == {"m": None, "s": None}
     assert both.status() == {"m": "stopped", "s": "stopped"}
     for shell in both.shells.values():
@@ -104,30 +102,11 @@ def test_a_device_that_reads_ints_and_float32_is_heard_by_the_other_end(pair: Ma
     assert slave.inbox.played > 0
 
 
-def test_that_nothing_lets_go_of_a_device_but_its_end_is_told_at_its_start_and_in_the_summary(
-    pair: Make, command: Callable[..., Command], tmp_path: Path
-) -> None:
+def test_that_nothing_lets_go_of_a_device_but_its_end_is_told_in_the_summary(pair: Make) -> None:
     device = Body(inner=SimulatedMaster(SCENE), deadline=None)
     _, folders = run_with(pair, replace(SCENE, duration=0.2), m=device)
     told = [json.loads((folder / "summary.json").read_text())["notes"] for folder in folders]
     assert [UNWATCHED in notes for notes in told] == [True, False]
-    (tmp_path / "bare.py").write_text("""
-from slave.robot import SimulatedSlave
-from teleop.live.end import end_main
-
-
-class Bare:
-    def __init__(self, scene):
-        inner = SimulatedSlave(scene)
-        self.read, self.hold = inner.read, inner.hold
-
-
-raise SystemExit(end_main("s", Bare))
-""")
-    end = command("bare", "hard_wall", "--listen", "127.0.0.1:0", "--json", "--wait", "60")
-    end.event("listening")
-    assert end.process.stderr is not None
-    assert end.process.stderr.readline() == f"teleop: {UNWATCHED}\n"
 
 
 # What a device senses
@@ -283,20 +262,6 @@ def test_the_device_of_the_examples_is_driven_against_its_stop(
         assert trace["f_env"].max() > 0.5, "which pushed back"
 
 
-def test_an_end_whose_device_does_not_sense_what_its_law_reads_is_one_sentence_with_exit_code_2(
-    command: Callable[..., Command], tmp_path: Path
-) -> None:
-    (tmp_path / "numb.py").write_text("""
-from teleop import end_main
-from tests.live.devices import standing
-
-raise SystemExit(end_main("s", lambda scene: standing()))
-""")
-    end = command("numb", "hard_wall", "--set", "law=direct", "--listen", "127.0.0.1:0", "--quiet")
-    end.refused("the slave's device senses none", "--set law=wave")
-    assert not list(tmp_path.glob("runs/*"))
-
-
 @pytest.mark.full
 def test_the_slave_of_a_live_run_is_the_arm_in_mujoco(command: Callable[..., Command], tmp_path: Path) -> None:
     """It presses the wall of its model, the master feels it, and its folder tells how stiff that is."""
@@ -312,3 +277,45 @@ def test_the_slave_of_a_live_run_is_the_arm_in_mujoco(command: Callable[..., Com
     both = merge(scene_of(tmp_path / "m"), tmp_path / "m", tmp_path / "s")
     assert both.status == "ok"
     assert both.trace["f_m"][-1, 0] == pytest.approx(both.trace["f_env"][-1, 0], rel=0.2)
+
+
+WEIGHTY = """
+from dataclasses import replace
+from scenarios.bench_top import scene as bench
+
+
+def scene(*, duration: float = 60.0):
+    home = (0.0, 1.0472, -2.0944)
+    of = bench(axes=3, units="rad", names="turn,lift,bend", duration=duration, f_max=1.0, m_s=0.02, b_s=0.1, m_m=0.02)
+    return replace(of, start_m=home, start_s=home)
+"""
+
+
+def test_in_a_silence_the_arm_stays_where_it_is_and_after_a_stop_its_weight_is_lowered(
+    command: Callable[..., Command], tmp_path: Path
+) -> None:
+    """The master is killed; a second and more later the slave is stopped, its law's force long gone."""
+    pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
+    (tmp_path / "weighty.py").write_text(WEIGHTY)
+    arm = ROOT / "slave" / "arm.xml"
+    slave = command("slave", "weighty.py", "--robot", f"compensated:{arm}?ramp=0.05 | mujoco:{arm}?gravcomp=0",
+                    "--listen", "127.0.0.1:0", "--json", "--out", str(tmp_path / "s"))
+    master = command("master", "weighty.py", "--peer", f"127.0.0.1:{slave.port()}", "--out", str(tmp_path / "m"))
+    slave.live(lambda numbers: numbers["gain"] == 1.0)
+    master.signal(signal.SIGKILL)
+    began = slave.live(lambda numbers: numbers["gain"] == 0.0)["k"]
+    slave.live(lambda numbers: numbers["k"] > began + 1000)  # it falls in a tenth of that
+    slave.signal(signal.SIGINT)
+    code, _, err = slave.end()
+    assert code == 0, err
+    assert summary(tmp_path / "s")["status"] == "stopped"
+    events = read_events(tmp_path / "s")
+    assert any(each["what"] == "safe" for each in events)
+    (zero,) = (each["why"] for each in events if each["what"] == "zero")
+    lowered = zero.partition("and the arm's weight lowered in ")[2]
+    assert 0.04 < float(lowered.removesuffix(" s")) < 2.0, zero  # along its ramp, however late ticks were
+    trace: Any = load_result(tmp_path / "s").trace
+    settled = trace["t"] > 0.5
+    way = trace["x_s"][settled]
+    assert abs(way - way[0]).max() < 0.05  # it falls by more than that in 0.1 s
+    assert way[0][1] > 0.97

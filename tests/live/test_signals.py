@@ -1,4 +1,4 @@
-"""Signals: every one that would end or stop a process ends the run instead, and what hangs is ended by the second."""
+"""Ends as processes: a signal ends the run without force, what breaks says so, what hangs is ended by the second."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from teleop.live.leaving import HUNG_S
 from teleop.live.process.interrupt import OTHERS, REAL_TIME, Interrupt
 from teleop.live.records.reader import read_record
 from teleop.live.records.record import read_events
-from teleop.live.shell import MAY_BE_ON, MOST_TIMES
+from teleop.live.shell import MAY_BE_ON, MOST_TIMES, TRACEBACK
 from teleop.scene.library import ROOT
 from tests.live.conftest import PATIENCE, summary
 from tests.waiting import until
@@ -34,8 +34,9 @@ UNTAKEN = {  # and why
     "SIGPIPE": "ignored by Python", "SIGXFSZ": "ignored by Python", "SIGTTOU": "ignored by teleop.live.process.output",
 }
 DEVICE = """
-import ctypes, os, select, signal, struct, sys, threading, time
+import asyncio, ctypes, os, select, signal, struct, sys, threading, time
 from {module} import {kind}
+from teleop.errors import DeviceError
 from teleop.live.end import end_main
 
 FILE = os.open("force", os.O_RDWR | os.O_CREAT)
@@ -201,6 +202,33 @@ with Interrupt() as interrupt, LastResort(interrupt):
     done = subprocess.run([sys.executable, "-c", program], env={"PYTHONPATH": str(ROOT)}, check=True, text=True,
                           capture_output=True)
     assert done.stdout == f"SIGTERM 1 {signals} {signals == 2}\n"
+
+
+@pytest.mark.parametrize(("act", "stuck", "code", "words"), [
+    ("sys.exit(0)", "pass", 1, ["raised SystemExit: 0", "its traceback is in"]),
+    pytest.param("raise asyncio.CancelledError", "pass", 1,
+                 ["the device, asked for a reading, raised CancelledError"], marks=FULL),
+    pytest.param("raise KeyboardInterrupt", "pass", 1, ["raised KeyboardInterrupt"], marks=FULL),
+    ("raise DeviceError('gone')", "if any(self._f) and not any(force): raise DeviceError('the amplifier')", 3,
+     ["the device fails: gone", MAY_BE_ON]),
+], ids=["exit", "cancelled", "interrupt", "stuck"])
+def test_an_end_whose_driver_breaks_says_so_in_one_sentence_and_its_exit_code(
+    act: str, stuck: str, code: int, words: list[str], command: Make, tmp_path: Path
+) -> None:
+    force = robot(tmp_path, "s", where=act, when=stuck)
+    own, other = pair(command)
+    ended, _, err = own.end()
+    assert (ended, err.count("\n")) == (code, 1), err
+    assert (force() == 0.0) is (code == 1)
+    for word in words:
+        assert word in err
+    assert other.end()[0] == 0
+    told, heard = summary(tmp_path / "s"), summary(tmp_path / "m")
+    assert told["sentence"] in err
+    assert told["sentence"] in heard["sentence"], "the peer is told the truth"
+    assert len(read_record(tmp_path / "s")[1].ticks) == told["ticks"] > 0
+    if "traceback" in err:
+        assert act.rpartition(".")[2].removeprefix("raise ") in (tmp_path / "s" / TRACEBACK).read_text()
 
 
 HANGS = {

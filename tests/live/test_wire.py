@@ -107,13 +107,9 @@ def test_another_filter_takes_the_place_of_the_first_and_detaching_lets_everythi
     assert detach(ends.here)
     assert ends.come(one, other, b"anything") == [one, other, b"anything"]
     assert not detach(ends.here), "there is none any more"
-
-
-@linux
-def test_what_waited_before_the_filter_came_is_still_there(ends: Ends) -> None:
     ends.there.send(b"before")
     attach(ends.here, program(*of_session(SESSION, SIZE, Kind.FORTH)))
-    assert ends.come(b"after") == [b"before"]
+    assert ends.come(b"after") == [b"before"], "what waited before the filter came is still there"
 
 
 def sealed(kind: int, epoch: int, body: int, says: int | None = None) -> bytes:

@@ -16,9 +16,8 @@ from typing import Any
 from teleop import Servo
 from teleop.physics.servo import true_touch, turn
 
-BROADCAST = 0xFE
 STEP = 2.0 * pi / 4096  # rad of a count
-PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
+READ, WRITE, SYNC_READ, SYNC_WRITE = 2, 3, 0x82, 0x83
 
 
 def crc(data: bytes) -> int:
@@ -40,14 +39,18 @@ class Servos:
     positions: tuple[int, int]  # address and bytes of the position
     goals: tuple[int, int]
     torque: int  # address of its switch
+    registers: tuple[tuple[int, int, int], ...]  # address, bytes and value, as it leaves the factory
+    width: int  # bytes of an address and a length
 
     def __init__(self, ids: tuple[int, ...] = (1, 2), moves: Callable[[int, bytearray], None] | None = None) -> None:
         self.tables = {each: bytearray(256) for each in ids}
+        for each in ids:
+            for register in self.registers:
+                self.set(each, *register)
         self.silent: set[int] = set()
         self.short: set[int] = set()
         self.damaged: set[int] = set()
         self.flags: dict[int, int] = {}
-        self.packets = 0
         self.moves = moves or self._follow
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
@@ -91,7 +94,6 @@ class Servos:
                 buffer += os.read(self._master, 4096)
                 while (taken := self._take(buffer)) is not None:
                     packet, buffer = taken
-                    self.packets += 1
                     os.write(self._master, b"".join(self._answers(*packet)))
 
     def _answers(self, servo: int, instruction: int, body: bytes) -> list[bytes]:
@@ -110,8 +112,7 @@ class Servos:
             address, length, _ = self._split(body)
             return [self._answer(servo, bytes(self.tables[servo][address:address + length]))]
         if instruction == WRITE:
-            address, data = self._address(body)
-            self._write(servo, address, data)
+            self._write(servo, int.from_bytes(body[:self.width], "little"), body[self.width:])
         return [self._answer(servo, b"")]
 
     def _write(self, servo: int, address: int, data: bytes) -> None:
@@ -131,24 +132,15 @@ class Servos:
         raise NotImplementedError
 
     def _split(self, body: bytes) -> tuple[int, int, bytes]:
-        raise NotImplementedError
-
-    def _address(self, body: bytes) -> tuple[int, bytes]:
-        raise NotImplementedError
+        at, length, rest = body[:self.width], body[self.width:2 * self.width], body[2 * self.width:]
+        return int.from_bytes(at, "little"), int.from_bytes(length, "little"), rest
 
 
 class Feetech(Servos):
     """STS3215, in the middle of their turn: FF FF ID LEN INST ... SUM."""
 
-    positions, goals, torque = (56, 2), (42, 2), 40
-
-    def __init__(self, ids: tuple[int, ...] = (1, 2), moves: Callable[[int, bytearray], None] | None = None) -> None:
-        super().__init__(ids, moves)
-        for each in ids:
-            self.set(each, 3, 2, 777)
-            self.set(each, 11, 2, 4095)
-            self.set(each, 56, 2, 2048)
-            self.set(each, 63, 1, 31)  # degrees Celsius
+    positions, goals, torque, width = (56, 2), (42, 2), 40, 1
+    registers = ((3, 2, 777), (11, 2, 4095), (56, 2, 2048), (63, 1, 31))  # the last: degrees Celsius
 
     def _take(self, buffer: bytes) -> tuple[tuple[int, int, bytes], bytes] | None:
         start = buffer.find(b"\xff\xff")
@@ -166,25 +158,12 @@ class Feetech(Servos):
         inner = bytes([servo, len(data) + 2, flags]) + data
         return b"\xff\xff" + inner + bytes([~sum(inner) & 0xFF])
 
-    def _split(self, body: bytes) -> tuple[int, int, bytes]:
-        return body[0], body[1], body[2:]
-
-    def _address(self, body: bytes) -> tuple[int, bytes]:
-        return body[0], body[1:]
-
 
 class Dynamixel(Servos):
     """XM430-W350, in the middle of their turn: FF FF FD 00 ID LEN LEN INST ... CRC CRC."""
 
-    positions, goals, torque = (132, 4), (116, 4), 64
-
-    def __init__(self, ids: tuple[int, ...] = (1, 2), moves: Callable[[int, bytearray], None] | None = None) -> None:
-        super().__init__(ids, moves)
-        for each in ids:
-            self.set(each, 0, 2, 1020)
-            self.set(each, 11, 1, 3)
-            self.set(each, 38, 2, 1193)
-            self.set(each, 132, 4, 2048)
+    positions, goals, torque, width = (132, 4), (116, 4), 64, 2
+    registers = ((0, 2, 1020), (11, 1, 3), (38, 2, 1193), (132, 4, 2048))
 
     def _follow(self, servo: int, table: bytearray) -> None:
         if self.get(servo, 11, 1) == 5:
@@ -206,19 +185,12 @@ class Dynamixel(Servos):
         packet = b"\xff\xff\xfd\x00" + bytes([servo]) + (len(inner) + 2).to_bytes(2, "little") + inner
         return packet + crc(packet).to_bytes(2, "little")
 
-    def _split(self, body: bytes) -> tuple[int, int, bytes]:
-        return int.from_bytes(body[:2], "little"), int.from_bytes(body[2:4], "little"), body[4:]
-
-    def _address(self, body: bytes) -> tuple[int, bytes]:
-        return int.from_bytes(body[:2], "little"), body[2:]
-
 
 class Physics:
     """Shafts of servos that move in real time by `teleop.physics.servo`, in what they touch, until it is closed."""
 
     def __init__(self, servos: Feetech, bodies: Sequence[Servo], environments: Sequence[Any]) -> None:
         self._servos = servos
-        self._bodies = list(bodies)
         self._plants = [body.slave_plant(1e-3, None if one is None else one.resistance())
                         for body, one in zip(bodies, environments, strict=True)]
         self._limp = [replace(body, stall=1e-12).slave_plant(1e-3, None).c[0] for body in bodies]

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,6 +18,7 @@ import can
 from teleop import DeviceError, Refused, Scene, check_device, load_scene
 from teleop.live.devices.arms.openarm import DamiaoArm, DamiaoMotor, MotorState, openarm_device, openarm_robot
 from teleop.live.devices.checking import DeviceCheck
+from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.devices.judging import DeviceFault
 from teleop.live.devices.opening import find_device
 from tests.live.arms.damiao_stand_in import Damiao
@@ -205,3 +207,49 @@ def test_more_frames_than_the_bus_carries_in_a_tick_are_a_note() -> None:
             arm.close()
     finally:
         stand_in.close()
+
+
+def test_of_motors_on_a_bus_the_weight_is_held_and_gone_when_the_end_lets_go(
+    opened: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
+    file = tmp_path / "one.urdf"
+    file.write_text("<robot name='one'><link name='base'/><link name='link'><inertial><origin xyz='0.2 0 0'/>"
+                    "<mass value='0.5'/><inertia ixx='1e-3' iyy='1e-3' izz='1e-3' ixy='0' ixz='0' iyz='0'/></inertial>"
+                    "</link><joint name='lift' type='revolute'><parent link='base'/><child link='link'/>"
+                    "<axis xyz='0 -1 0'/><limit lower='-2' upper='2' effort='5' velocity='9'/></joint></robot>")
+    stand_in = Damiao(can.Bus(channel="weighty", interface="virtual"), can.Message, (1,))
+    try:
+        of = load_scene("bench_top", axes="1", units="rad", names="lift")
+        arm = opened(find_device("s", f"compensated:{file}?ramp=0.05 | openarm:weighty?interface=virtual").open(of))
+        guarded = GuardedDevice(arm, 1)
+        k = 0
+
+        def ticked() -> bool:
+            nonlocal k
+            k += 1
+            time.sleep(0.001)
+            reads = guarded.read(k, 0) is not None
+            return guarded.hold((0.0,)) and reads
+
+        weight = 0.5 * 9.81 * 0.2
+
+        def held_in_place() -> bool:
+            """True if it is given its weight: the stand-in has none, so what carries one would lift it."""
+            stand_in.x[1] = stand_in.v[1] = 0.0
+            return ticked() and abs(stand_in.torque[1] - weight) < 0.01
+
+        until(held_in_place, "it never carried the weight")
+        assert arm.read(k).f is not None
+        stand_in.silent.add(1)
+        until(lambda: not ticked() and "does not answer" in str(guarded.trouble))
+        for _ in range(150):
+            ticked()
+        until(lambda: abs(stand_in.torque[1]) < 0.01, "a bus without answers is pressed on")
+        stand_in.silent.clear()
+        until(held_in_place, "it never carried the weight again")
+        assert guarded.let_go()
+        until(lambda: abs(stand_in.torque[1]) < 0.01, "let go it presses on")
+    finally:
+        stand_in.close()
+

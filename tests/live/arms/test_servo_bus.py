@@ -21,7 +21,7 @@ from teleop.__main__ import main
 from teleop.live.devices.arms import dynamixel, feetech
 from teleop.live.devices.arms.dynamixel import DynamixelChain, dynamixel_bus, dynamixel_device, dynamixel_robot
 from teleop.live.devices.arms.feetech import feetech_bus, feetech_robot
-from teleop.live.devices.arms.servo_bus import LAPSE_NS, ServoBus, TorqueArm
+from teleop.live.devices.arms.servo_bus import ServoBus, TorqueArm
 from teleop.live.devices.judging import DeviceFault
 from teleop.live.devices.opening import find_device
 from teleop.scene.library import ROOT
@@ -333,10 +333,8 @@ with with_watchdog(arm, Path(sys.argv[2])) as watched:
 """
 
 
-@pytest.mark.parametrize("word", ["KILL", "STOP"])
-def test_the_watchdog_process_lets_servos_go_whose_end_is_killed_or_stopped(
-    word: str, opened: Callable[..., Any], tmp_path: Any
-) -> None:
+def test_the_watchdog_process_lets_servos_go_whose_end_is_stopped(opened: Callable[..., Any], tmp_path: Any) -> None:
+    """Which has their port still."""
     servos = opened(Feetech((1, 2), moves=lambda _servo, _table: None))
     for each in (1, 2):
         servos.set(each, 33, 1, 2)
@@ -346,7 +344,7 @@ def test_the_watchdog_process_lets_servos_go_whose_end_is_killed_or_stopped(
         assert end.stdout is not None
         end.stdout.readline()
         until(lambda: (servos.get(1, 44, 2), servos.get(1, 40, 1)) == (250, 1))
-        end.send_signal(getattr(signal, f"SIG{word}"))
+        end.send_signal(signal.SIGSTOP)
         until(lambda: (servos.get(1, 44, 2), servos.get(1, 40, 1)) == (0, 0), "its torque stayed on")
     finally:
         end.kill()
@@ -382,29 +380,17 @@ def test_the_watchdogs_way_over_a_port_of_its_own_holds_a_joint_where_it_is_or_m
     until(lambda: [servos.get(each, servos.torque, 1) for each in (1, 2)] == [0, 0])
 
 
-def test_a_tick_that_hangs_lets_go_within_the_lapse(opened: Callable[..., Any]) -> None:
-    servos = opened(Dynamixel((1, 2)))
-    robot = opened(answered(lambda: dynamixel_robot(joints(), f"{servos.port}?mode=current&kt=1.78")))
-
-    def pushes() -> bool:
-        robot.hold((0.5, 0.5))
-        return servos.get(1, 102, 2) > 0
-
-    until(pushes)
-    time.sleep(LAPSE_NS / 1e9)
-    until(lambda: servos.get(1, 102, 2) == 0)
-
-
 def test_a_live_run_with_servos_by_name(opened: Callable[..., Any], command: Callable[..., Any], tmp_path: Any) -> None:
     """The hand of a simulated master moves; the torques of the law reach the servos, and are off in the end."""
-    torques: list[int] = []
+    torques, reach = list[int](), tmp_path / "reach.csv"  # of both joints, to 0.3 rad in a second
+    reach.write_text("t,x,y\n" + "".join(f"{i / 100},{min(i, 100) * 3e-3},{-min(i, 100) * 3e-3}\n" for i in range(300)))
     servos = opened(Dynamixel((1, 2), moves=lambda _servo, table: torques.append(
         int.from_bytes(table[102:104], "little", signed=True))))
     knobs = ("--set", "axes=2", "--set", "units=rad", "--set", "duration=2", "--rate", "100", "--json")
     slave = command("slave", "bench_top", *knobs, "--listen", "127.0.0.1:0", "--out", "slave", "--robot",
                     f"dynamixel:{servos.port}?mode=current&kt=1.78&timeout=80")
     master = command("master", "bench_top", *knobs, "--peer", f"127.0.0.1:{slave.port()}", "--out", "master",
-                     "--device", "csv:" + str(_reach(tmp_path)))
+                     "--device", f"csv:{reach}")
     for end in (master, slave):
         code, _, err = end.end()
         assert code == 0, err
@@ -412,10 +398,3 @@ def test_a_live_run_with_servos_by_name(opened: Callable[..., Any], command: Cal
     assert max(map(abs, torques)) > 5, "the law never pushed"
     assert [servos.get(each, 64, 1) for each in (1, 2)] == [0, 0]
     assert [servos.get(each, 102, 2) for each in (1, 2)] == [0, 0]
-
-
-def _reach(folder: Any) -> Any:
-    """A recorded motion of both joints, to 0.3 rad in a second."""
-    path = folder / "reach.csv"
-    path.write_text("t,x,y\n" + "".join(f"{i / 100},{min(i, 100) * 3e-3},{-min(i, 100) * 3e-3}\n" for i in range(300)))
-    return path

@@ -1,39 +1,24 @@
-"""What is lost is said, and that it came back; a reload and a second tab show the last ten seconds."""
+"""The page as its own server serves it; what is lost is said, and that it came back; what a reload shows."""
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
+from teleop.live.page.command import page_bytes
 from tests.browser import Browser, Page
 from tests.live.page.browser.mock import Mock
+from tests.live.page.conftest import TOKEN, Served
 from tests.waiting import until
 
 pytestmark = pytest.mark.live
 
 
-def test_a_server_that_is_gone_is_said_and_so_is_its_return(
-    server: Callable[..., Mock], tab: Callable[..., Page]
-) -> None:
-    mock = server()
-    page = tab(mock.url)
-    page.drag(page.place("#stage"), (40.0, 0.0))
-    mock.stop()
-    page.until("document.getElementById('said').className === 'error'")
-    assert "The server does not answer" in page.text("#said")
-    assert page.text("#conn").startswith("not connected")
-    t = page.evaluate("row.t")
-    server(port=mock.port)
-    page.until("document.getElementById('conn').textContent === 'connected'")
-    assert page.text("#said") == "The demo runs again, and this page shows it."
-    page.until(f"row.t !== {t} && rows.length > 10")
-    assert page.evaluate("target") is None  # it does not take the hand of a run that it did not drag
-
-
-def test_who_listens_at_the_port_after_the_server_is_not_sent_the_token(
+def test_a_server_that_is_gone_is_said_and_so_is_its_return_and_who_listens_there_meanwhile_is_not_sent_the_token(
     server: Callable[..., Mock], tab: Callable[..., Page]
 ) -> None:
     """A page that came back sent it every four seconds to whoever listened there."""
@@ -53,17 +38,24 @@ def test_who_listens_at_the_port_after_the_server_is_not_sent_the_token(
     page = tab(mock.url)
     token = mock.url.partition("token=")[2]
     assert token
-    page.until("rows.length > 10")
+    page.drag(page.place("#stage"), (40.0, 0.0))
     mock.stop()
+    page.until("document.getElementById('said').className === 'error'")
+    assert "The server does not answer" in page.text("#said")
+    assert page.text("#conn").startswith("not connected")
+    t = page.evaluate("row.t")
     with ThreadingHTTPServer(("127.0.0.1", mock.port), Stranger) as stranger:
         threading.Thread(target=stranger.serve_forever, daemon=True).start()
-        until(lambda: len(asked) > 2)
+        until(lambda: len(asked) > 1)
         stranger.shutdown()
     assert all(each.startswith("/proof?nonce=") for each in asked)
     assert token not in "".join(asked)
     assert len({each.split()[0] for each in asked}) == len(asked), "a proof cannot be used twice"
     server(port=mock.port)
     page.until("document.getElementById('conn').textContent === 'connected'")
+    assert page.text("#said") == "The demo runs again, and this page shows it."
+    page.until(f"row.t !== {t} && rows.length > 10")
+    assert page.evaluate("target") is None  # it does not take the hand of a run that it did not drag
 
 
 def test_a_server_that_stands_still_is_not_called_connected(mock: Mock, page: Page) -> None:
@@ -77,7 +69,9 @@ def test_a_server_that_stands_still_is_not_called_connected(mock: Mock, page: Pa
     assert page.text("#said") == "The server answers again."
 
 
-def test_a_part_that_is_lost_is_said_where_one_looks(mock: Mock, page: Page) -> None:
+def test_a_part_that_is_lost_is_said_where_one_looks_and_sentences_of_the_server_are_shown_as_text(
+    mock: Mock, page: Page
+) -> None:
     who = "the master"
     assert page.text("#conn") == "connected"
     safe = {"gain": 0.0, "cause": "silence: nothing heard for 0.2 s"}
@@ -88,14 +82,13 @@ def test_a_part_that_is_lost_is_said_where_one_looks(mock: Mock, page: Page) -> 
     mock.status = {"lost": None, "m": {"gain": 1.0, "cause": None}, "s": {"gain": 1.0, "cause": None}}
     page.until("document.getElementById('conn').textContent === 'connected'")
     page.until("document.getElementById('gm').className === ''")
-
-
-def test_sentences_of_the_server_are_shown_as_text(mock: Mock, page: Page) -> None:
     mock.say("error", "<b>the slave</b> is gone")
     page.until("document.getElementById('said').textContent.includes('<b>the slave</b> is gone')")
 
 
-def test_a_reload_and_a_second_tab_show_the_last_ten_seconds(mock: Mock, page: Page, tab: Callable[..., Page]) -> None:
+def test_a_reload_and_a_second_tab_show_the_last_ten_seconds_and_what_begins_anew_empties_the_strips(
+    mock: Mock, page: Page, tab: Callable[..., Page]
+) -> None:
     page.until("rows.length > 90")
     page.evaluate("window.old = true")
     page.call("Page.reload")
@@ -105,10 +98,7 @@ def test_a_reload_and_a_second_tab_show_the_last_ten_seconds(mock: Mock, page: P
         assert one.evaluate("rows[0].t") < 0.1
         assert one.evaluate("rows.length") > 90
         assert one.console == []
-
-
-def test_a_part_of_the_run_that_begins_anew_in_time_empties_the_strips(mock: Mock, page: Page) -> None:
-    page.until("rows.length > 60")
+    # A part of the run that begins anew in time empties the strips.
     mock.world.t = 0.0
     page.until("rows[0].t < .1 && row.t < 5")
     page.until("rows.length > 5")
@@ -140,3 +130,27 @@ def test_a_browser_without_javascript_is_told_so(mock: Mock, browser: Browser) -
             with pytest.raises(AssertionError):  # it has no box
                 page.call("DOM.getBoxModel", nodeId=box)
     page.close()
+
+
+def test_a_drag_reaches_the_master_and_a_law_is_switched_while_it_is_held(
+    served: Callable[..., Served], tab: Callable[..., Page]
+) -> None:
+    def look(served: Served) -> None:
+        page = tab(f"http://{served.host}/?token={TOKEN}")
+        page.drag(page.place("#stage"), (page.evaluate("(.058 - base()[0]) * place().scale"), 0.0))
+        page.until("Math.abs(row.xm[0] - .058) < 1e-3 && row.fm[0] > 1 && row.fe[0] > .3")
+        page.evaluate("document.getElementById('law').focus()")
+        page.key("ArrowDown")  # the one below wave
+        page.until("hello.law === 'wave_filter' && document.getElementById('law').value === 'wave_filter'")
+        page.until("status.parts === 2")
+        page.until("row.gain[0] === 1 && row.gain[1] === 1 && Math.abs(row.xm[0] - .058) < 1e-3")
+        page.key("Escape")
+        page.until("target === null")
+        assert page.console == []
+
+    async def scenario(page: Served) -> None:
+        await asyncio.to_thread(look, page)
+        await page.until(lambda: page.orders("master")[-1] == {"order": "hand", "to": None})
+
+    index = served(scenario, html=page_bytes()).index()
+    assert [part["knobs"].get("law", "wave") for part in index["parts"]] == ["wave", "wave_filter"]
