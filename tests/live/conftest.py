@@ -20,7 +20,7 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop.errors import DeviceError
+from teleop import DeviceError, Scene
 from teleop.live.devices import call_watch
 from teleop.live.driving import run
 from teleop.live.net.wire import Wire, bind_udp
@@ -34,7 +34,6 @@ from teleop.protocol.endpoint import Endpoint, Stepped
 from teleop.protocol.manifest import manifest_of
 from teleop.protocol.session import Session
 from teleop.scene.library import ROOT
-from teleop.scene.scene import Scene
 from teleop.simulation.plan import link_plans
 from tests.waiting import PATIENCE
 
@@ -244,6 +243,18 @@ def command(tmp_path: Path) -> Iterator[Callable[..., Command]]:
 def summary(folder: Path) -> dict[str, Any]:
     """The summary.json in a folder."""
     found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return found
+
+
+def running(parent: int | None = None) -> dict[int, str]:
+    """The command lines of the processes of this machine, or of those that `parent` has started, by their ids."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, IndexError):  # it has just ended
+            started = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            words = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            if words and parent in (None, started):
+                found[int(folder.name)] = words
     return found
 
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 from tempfile import mkdtemp
 from threading import Thread
 from types import TracebackType
 
 from teleop.law import known_laws
-from teleop.scene.library import ROOT
+from tests.live.conftest import OWN, running
 from tests.waiting import PATIENCE, until
 
 PLAN = '''
@@ -46,11 +44,10 @@ class StudySession:
     """The process of a session; `url` is its address. `lines`: what it has printed on its standard error."""
 
     def __init__(self, folder: Path, *words: str, participant: int = 1) -> None:
-        own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "teleop", "study", "run", "plan.toml", "--participant", str(participant), "--out",
              "study", *words], cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            env={**own, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": mkdtemp()})
+            env={**OWN, "XDG_RUNTIME_DIR": mkdtemp()})
         self.lines: list[str] = []
         self._reader = Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -69,13 +66,7 @@ class StudySession:
 
     def command_lines(self) -> list[str]:
         """The command lines of the processes that it has started."""
-        lines = []
-        for path in Path("/proc").glob("[0-9]*"):
-            with suppress(OSError, IndexError):
-                parent = (path / "stat").read_text().rpartition(")")[2].split()[1]
-                if int(parent) == self.process.pid:
-                    lines.append((path / "cmdline").read_bytes().replace(b"\0", b" ").decode())
-        return lines
+        return list(running(self.process.pid).values())
 
     def interrupt(self) -> str:
         """End it as by Ctrl-C; what it prints in the end."""

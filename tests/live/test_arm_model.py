@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop import Refused, Scene, load_scene
-from teleop.live.devices.arm_model import ArmModel
+from teleop import ArmModel, Refused, Scene, load_scene
 
 pytest.importorskip("mujoco", reason="mujoco-core is not installed (extra mujoco)")
 

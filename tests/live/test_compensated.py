@@ -12,8 +12,7 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.mujoco_robot import MuJoCoRobot
-from teleop import DeviceError, Reading, Refused, Scene
-from teleop.live.devices.arm_model import ArmModel
+from teleop import ArmModel, DeviceError, Reading, Refused, Scene
 from teleop.live.devices.compensated import BLIND_S, SLEW_S, Compensated
 from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.devices.opening import find_device
@@ -72,6 +71,13 @@ def on_arm(device: Any = None, **settings: Any) -> tuple[Any, Compensated]:
     return device, Compensated(device, ArmModel(ARM, scene()), **settings)
 
 
+def drive(device: Any, ticks: int, *clock: int, force: tuple[float, ...] = (0.0,) * 3) -> None:
+    """Read and hold at so many ticks; of a guarded device with a `clock`, too."""
+    for k in range(ticks):
+        device.read(k, *clock)
+        device.hold(force)
+
+
 class TestTheLaw:
     def test_sees_an_arm_that_moves_as_one_without_weight(self) -> None:
         """Its own caps aside: the same torques move it as they move MuJoCo's arm whose weight is compensated inside."""
@@ -95,9 +101,7 @@ class TestTheLaw:
         assert abs(weights[1:]).min() > 0.2
         for e, push in (("s", 1.0), ("m", -1.0)):
             device, arm = on_arm(e=e)
-            for k in range(700):
-                arm.read(k)
-                arm.hold((0.1, 0.2, -0.3))
+            drive(arm, 700, force=(0.1, 0.2, -0.3))
             np.testing.assert_allclose(push * np.array(device.held[-1]), weights + push * np.array((0.1, 0.2, -0.3)))
 
     def test_gets_from_a_held_weight_what_the_damping_in_the_header_takes_up(self, tmp_path: Path) -> None:
@@ -230,9 +234,7 @@ class TestWhatEndsIt:
 
     def test_without_readings_it_is_held_for_half_a_tenth_of_a_second_and_gone_after_a_whole(self) -> None:
         device, arm = on_arm()
-        for k in range(700):
-            arm.read(k)
-            arm.hold((0.0,) * 3)
+        drive(arm, 700)
         whole = np.array(device.held[-1])
         device.fails = {"read"}
         for k in range(700, 820):
@@ -251,9 +253,7 @@ class TestWhatEndsIt:
 
     def test_a_run_that_is_over_lowers_it_and_a_second_signal_ends_it_at_once(self) -> None:
         device, arm = on_arm(ramp=0.2)
-        for k in range(300):
-            arm.read(k)
-            arm.hold((0.0,) * 3)
+        drive(arm, 300)
         assert arm.carries
         whole = device.held[-1][1]
         arm.lower()
@@ -265,9 +265,7 @@ class TestWhatEndsIt:
         assert 195 <= k - 300 <= 205
         assert abs(np.diff([each[1] for each in device.held[300:]])).max() < 0.01 * abs(whole)
         guarded = GuardedDevice(on_arm(device, ramp=0.05)[1], 3)
-        for k in range(100):
-            guarded.read(k, 0)
-            guarded.hold((0.0,) * 3)
+        drive(guarded, 100, 0)
         assert any(device.held[-1])
         assert guarded.carries
         guarded.closed = True  # as a thread beside a loop that hangs leaves it
@@ -277,9 +275,7 @@ class TestWhatEndsIt:
 
     def test_joints_that_its_limit_cut_are_a_note(self) -> None:
         _, arm = on_arm(limit=(1.0, 0.1, 1.0))
-        for k in range(10):
-            arm.read(k)
-            arm.hold((0.0,) * 3)
+        drive(arm, 10)
         (note,) = arm.notes
         assert note.startswith("the compensation was cut to its limit: lift at 10 ticks (limit 0.1 N m); type")
 
@@ -435,9 +431,7 @@ def test_zero_force_is_tried_again_of_a_device_that_held_nothing_but_a_weight() 
     """It counted as one without a force on, so that one failure of the last zero was the end of it."""
     device, arm = on_arm()
     guarded = GuardedDevice(arm, 3)
-    for k in range(100):
-        guarded.read(k, 0)
-        guarded.hold((0.0,) * 3)
+    drive(guarded, 100, 0)
     device.fails = {"hold"}
     assert not guarded.let_go()
     assert guarded.forced
@@ -449,9 +443,7 @@ def test_zero_force_is_tried_again_of_a_device_that_held_nothing_but_a_weight() 
 def test_a_reading_that_is_not_finite_is_handed_on_and_computes_nothing() -> None:
     device, arm = on_arm()
     guarded = GuardedDevice(arm, 3)
-    for k in range(100):
-        guarded.read(k, 0)
-        guarded.hold((0.0,) * 3)
+    drive(guarded, 100, 0)
     held = device.held[-1]
     device.v = (float("nan"), 0.0, 0.0)
     assert guarded.read(100, 0) is None

@@ -18,7 +18,7 @@ import pytest
 from teleop import load_result, load_scene, run
 from teleop.live.demo import EndOptions, demo
 from teleop.scene.library import ROOT
-from tests.live.conftest import Demo
+from tests.live.conftest import Demo, running
 from tests.waiting import until
 
 pytestmark = pytest.mark.live
@@ -31,24 +31,11 @@ LONG = ("hard_wall", "--set", "duration=600")
 
 def children(pid: int) -> dict[str, int]:
     """The live processes that this one started, by their module's name."""
-    found = {}
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdecimal():
-            try:
-                parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-                words = (folder / "cmdline").read_bytes().split(b"\0")
-            except (OSError, IndexError):
-                continue
-            if parent == pid and b"-m" in words:
-                found[words[words.index(b"-m") + 1].decode()] = int(folder.name)
-    return found
+    return {words.split(" -m ")[1].split()[0]: child for child, words in running(pid).items() if " -m " in words}
 
 
 def gone(pid: int) -> bool:
-    try:
-        return (Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
+    return pid not in running()
 
 
 def until_all_run(one: Any, tmp_path: Path) -> dict[str, int]:

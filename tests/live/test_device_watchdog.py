@@ -34,7 +34,7 @@ from teleop.live.devices.guarded_device import GuardedDevice
 from teleop.live.records.record import read_events
 from teleop.protocol.guard import DEADLINE
 from tests.fakes import Body, raising
-from tests.live.conftest import Command, summary
+from tests.live.conftest import Command, running, summary
 from tests.waiting import PATIENCE, until
 
 pytestmark = pytest.mark.live
@@ -318,15 +318,7 @@ class Site:
 
     def watchdogs(self) -> list[int]:
         """The watchdog processes of this motor."""
-        found = []
-        for each in Path("/proc").glob("[0-9]*/cmdline"):
-            try:
-                line = each.read_bytes()
-            except OSError:
-                continue
-            if b"device_watchdog" in line and str(self.folder).encode() in line:
-                found.append(int(each.parent.name))
-        return found
+        return [pid for pid, words in running().items() if "device_watchdog" in words and str(self.folder) in words]
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
@@ -21,7 +21,7 @@ import pytest
 from teleop.errors import Refused
 from teleop.live.records.reader import TruncatedRecord, read_record
 from teleop.live.records.record import read_events
-from tests.live.conftest import Command, pair_of_keys
+from tests.live.conftest import Command, pair_of_keys, running
 from tests.waiting import PATIENCE, free_port
 
 pytestmark = [
@@ -206,19 +206,7 @@ class Site:
             said = one.command.process.stderr.read() if one.command.process.stderr else ""
             assert (code, said) == (0, ""), (name, code, said)
         assert not [one.name for one in self.every if Path(f"/proc/{one.pid}").exists()]
-        assert list(whose_command_says(str(self._folder))) == []
-
-
-def whose_command_says(text: str) -> Iterator[int]:
-    """The processes of this machine with a text in their command line."""
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdecimal() and int(folder.name) != os.getpid():
-            try:
-                said = (folder / "cmdline").read_bytes()
-            except OSError:
-                continue
-            if text.encode() in said:
-                yield int(folder.name)
+        assert not [words for pid, words in running().items() if str(self._folder) in words and pid != os.getpid()]
 
 
 class Rows(NamedTuple):

@@ -90,21 +90,18 @@ def test_a_device_that_never_comes_back_ends_the_run_with_a_sentence_at_both_end
         assert "the device fails: the bus is gone" in shell.outcome.sentence
 
 
-def test_a_device_that_reads_ints_and_float32_is_heard_by_the_other_end(pair: Make) -> None:
+def test_a_device_that_reads_ints_and_float32_is_heard_by_the_other_end_and_that_it_has_no_deadline_is_told(
+    pair: Make
+) -> None:
     """The other end took its messages for malformed, dropped them all, and told of silence."""
     def coarse(_k: int, now: Reading) -> Any:
         x, v, f, *_ = now
         return Reading(tuple(map(np.float32, x)), tuple(np.float32(n) if n else 0 for n in v), f)  # type: ignore[misc]
 
-    both, _ = run_with(pair, SCENE, m=Body(inner=SimulatedMaster(SCENE), reads=coarse))
+    both, folders = run_with(pair, SCENE, m=Body(inner=SimulatedMaster(SCENE), reads=coarse, deadline=None))
     slave = both.shells["s"].endpoint
     assert "malformed" not in slave.rejected
     assert slave.inbox.played > 0
-
-
-def test_that_nothing_lets_go_of_a_device_but_its_end_is_told_in_the_summary(pair: Make) -> None:
-    device = Body(inner=SimulatedMaster(SCENE), deadline=None)
-    _, folders = run_with(pair, replace(SCENE, duration=0.2), m=device)
     told = [json.loads((folder / "summary.json").read_text())["notes"] for folder in folders]
     assert [UNWATCHED in notes for notes in told] == [True, False]
 
@@ -127,6 +124,10 @@ def test_a_device_that_senses_7_N_was_recorded_with_the_force_of_the_scenes_own_
         assert result.metrics[f"{column}_max"] == 7.0
     assert whole.metrics["f_err_rms"] > 0.0
     assert not any("force sensor" in note for note in whole.notes)
+    if e == "s":  # `direct` reflects f_env as it is
+        scene = replace(SCENE, law=Direct(K=0.0, B=0.0))
+        felt = merge(scene, *run_with(pair, scene, s=standing(f=7.0))[1]).trace["f_m"]
+        assert felt.max() == felt[-1] == 7.0
 
 
 @pytest.mark.parametrize(("e", "column"), [("m", "f_h"), ("s", "f_env")])
@@ -150,13 +151,6 @@ def test_a_device_that_senses_nothing_has_no_force_and_the_table_the_document_an
     assert ("\nforce error" in out) is (e == "m")
     assert json.loads(Path("both/summary.json").read_text())["notes"] == list(load_result("both").notes)
     assert not plot or Path("both/plot.png").stat().st_size > 1000
-
-
-def test_the_force_that_a_device_senses_is_what_the_law_reads(pair: Make) -> None:
-    """`direct` reflects f_env as it is."""
-    scene = replace(SCENE, law=Direct(K=0.0, B=0.0))
-    felt = merge(scene, *run_with(pair, scene, s=standing(f=7.0))[1]).trace["f_m"]
-    assert felt.max() == felt[-1] == 7.0
 
 
 @pytest.mark.parametrize(("e", "law", "says"), [

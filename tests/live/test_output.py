@@ -85,16 +85,27 @@ def test_a_message_that_is_out_in_part_goes_on_before_the_next_one(pipe: tuple[i
     assert output.dropped == 1
 
 
-def test_a_reader_that_is_gone_raises_nothing(pipe: tuple[int, int]) -> None:
+def test_a_reader_that_is_gone_or_a_full_disk_raises_nothing_and_a_file_has_all_of_it(
+    pipe: tuple[int, int], tmp_path: Path
+) -> None:
     before = Output(pipe[1])
     os.close(pipe[0])
     for output in (before, Output(pipe[1])):  # it may have gone before this process began
         for k in range(100):
             output.write(LINE % k)
         output.flush()
+    with (tmp_path / "file").open("wb") as file:
+        output = Output(file.fileno())
+        for k in range(1000):
+            output.write(LINE % k)
+    assert (tmp_path / "file").read_bytes() == b"".join(LINE % k for k in range(1000))
+    if Path("/dev/full").exists():
+        with Path("/dev/full").open("wb") as full:
+            Output(full.fileno()).write(b"x")
 
 
-def test_a_terminal_that_is_paused_holds_up_no_write() -> None:
+def test_a_terminal_that_is_paused_or_a_socket_that_nothing_reads_holds_up_no_write() -> None:
+    """Service managers give their services sockets to write to."""
     ours, its = pty.openpty()
     output = Output(its)
     assert output.isatty()
@@ -104,29 +115,14 @@ def test_a_terminal_that_is_paused_holds_up_no_write() -> None:
     assert output.dropped > 0
     for fd in (ours, its):
         os.close(fd)
-
-
-def test_a_socket_that_nothing_reads_holds_up_no_write() -> None:
-    """Service managers give their services sockets to write to."""
-    ours, its = socket.socketpair()
-    output = Output(its.fileno())
+    reads, writes = socket.socketpair()
+    output = Output(writes.fileno())
     for k in range(20_000):
         output.write(LINE % k)
     assert output.dropped > 0
-    ours.close()
+    reads.close()
     output.write(LINE % 1)
-    its.close()
-
-
-def test_a_file_has_all_of_it_and_a_full_disk_raises_nothing(tmp_path: Path) -> None:
-    with (tmp_path / "file").open("wb") as file:
-        output = Output(file.fileno())
-        for k in range(1000):
-            output.write(LINE % k)
-    assert (tmp_path / "file").read_bytes() == b"".join(LINE % k for k in range(1000))
-    if Path("/dev/full").exists():
-        with Path("/dev/full").open("wb") as full:
-            Output(full.fileno()).write(b"x")
+    writes.close()
 
 
 def test_last_words_wait_for_a_reader_that_comes_and_not_for_ever_for_one_that_does_not(pipe: tuple[int, int]) -> None:

@@ -70,6 +70,10 @@ def test_what_is_refused_is_said_with_what_to_type(
     assert "scheduling: no (Operation not permitted); memory locked; type  sudo prlimit --pid $$ --rtprio=50" in said
     assert "\n" not in said
     assert "type" not in realtime.sentence({"scheduler": "SCHED_FIFO", "memory": "locked"})
+    monkeypatch.delattr(os, "sched_setscheduler")
+    assert realtime.ask().scheduler == "no (not on this system)"
+    assert Granted("SCHED_FIFO, priority 40", "locked", 40).whole
+    assert not Granted("SCHED_FIFO, priority 40", "no (Cannot allocate memory)", 40).whole
 
 
 def test_what_to_type_is_what_helps_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -85,28 +89,13 @@ def test_what_to_type_is_what_helps_there(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert "sudo prlimit" in realtime.cure(for_good=True)
 
 
-def test_a_system_without_such_scheduling_is_no_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(realtime, "_lock", lambda: "locked")
-    monkeypatch.delattr(os, "sched_setscheduler")
-    assert realtime.ask().scheduler == "no (not on this system)"
-
-
-def test_a_limit_on_the_priority_leaves_room_for_what_runs_before_the_loop(limited: Callable[[int], None]) -> None:
-    limited(10)
-    assert realtime.ask().priority == 9
-    assert realtime.run_first(realtime.PRIORITY + 1) == 10
-    limited(1)
-    assert realtime.ask().priority == 1
-
-
-@pytest.mark.parametrize("args", [Namespace(realtime=False), Namespace(realtime=True, lockstep=True)])
-def test_without_it_and_by_packets_nothing_is_asked_for(args: Namespace, calls: list[Any]) -> None:
-    with scheduling_of(args, Interrupt()) as scheduling:
-        assert (scheduling.report, scheduling.above) == (None, None)
+def test_it_is_asked_for_unless_without_it_or_by_packets_given_back_when_the_block_ends_and_not_inherited(
+    calls: list[Any]
+) -> None:
+    for args in (Namespace(realtime=False), Namespace(realtime=True, lockstep=True)):
+        with scheduling_of(args, Interrupt()) as scheduling:
+            assert (scheduling.report, scheduling.above) == (None, None)
     assert calls == []
-
-
-def test_it_is_given_back_when_the_block_ends_and_not_inherited(calls: list[Any]) -> None:
     with RealTime(Interrupt()) as scheduling:
         assert scheduling.report == {"scheduler": "SCHED_FIFO, priority 40", "memory": "locked"}
         assert scheduling.above == 41
@@ -115,6 +104,10 @@ def test_it_is_given_back_when_the_block_ends_and_not_inherited(calls: list[Any]
     assert (policy, priority) == (OTHER, 0)
     assert thread
     assert len(calls) == 2
+    device_watchdog._run_before_end(None)
+    assert len(calls) == 2
+    device_watchdog._run_before_end(41)
+    assert calls[2] == (0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 41), "the watchdog of a device runs before its end"
 
 
 @pytest.mark.usefixtures("calls")
@@ -210,13 +203,6 @@ def test_a_limit_on_locked_memory_is_not_reached_later(monkeypatch: pytest.Monke
     assert asked_for == [1, 3]
 
 
-def test_the_watchdog_of_a_device_runs_before_an_end_with_real_time_scheduling(calls: list[Any]) -> None:
-    device_watchdog._run_before_end(None)
-    assert calls == []
-    device_watchdog._run_before_end(41)
-    assert calls == [(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 41)]
-
-
 def test_both_ends_are_scheduled_so_unless_told_not_to_if_the_system_grants_it_and_their_summaries_say_what_they_got(
     command: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -242,11 +228,6 @@ def test_both_ends_are_scheduled_so_unless_told_not_to_if_the_system_grants_it_a
     assert set(told["slave"]["realtime"]) == {"scheduler", "memory"}
 
 
-def test_whole_is_what_lacks_nothing() -> None:
-    assert Granted("SCHED_FIFO, priority 40", "locked", 40).whole
-    assert not Granted("SCHED_FIFO, priority 40", "no (Cannot allocate memory)", 40).whole
-
-
 def test_the_channel_runs_after_the_ends_which_it_kept_waiting_while_it_waited_awake(
     limited: Callable[[int], None], calls: list[Any]
 ) -> None:
@@ -255,3 +236,6 @@ def test_the_channel_runs_after_the_ends_which_it_kept_waiting_while_it_waited_a
     assert calls == [(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 39)]
     limited(10)
     assert (realtime.ask().priority, realtime.ask(realtime.RELAY_PRIORITY).priority) == (9, 8)
+    assert realtime.run_first(realtime.PRIORITY + 1) == 10, "a limit leaves room for what runs before the loop"
+    limited(1)
+    assert realtime.ask().priority == 1

@@ -271,13 +271,9 @@ def test_two_ends_that_met_twice_have_the_ledgers_of_their_last_session_alone(tm
         assert f"{ledger}_min" in result.metrics
     assert any("those of the last session, from t = 0.700 s on" in note for note in result.notes)
     assert result.packets["fwd"].sent == 990
-
-
-def test_two_ends_with_other_laws_were_said_to_be_of_another_release(tmp_path: Path) -> None:
-    master = end_of(tmp_path / "m", "m", range(100), [MET])
-    record_of(tmp_path / "s", "s", [0], law="tdpa").close()
+    record_of(tmp_path / "other", "s", [0], law="tdpa").close()
     with pytest.raises(Refused, match="are not the two ends of one run; give two that ran together"):
-        merge(SCENE, master, tmp_path / "s")
+        merge(SCENE, ends[0], tmp_path / "other")  # which was said to be of another release
 
 
 def test_two_ends_that_met_for_the_first_time_after_a_turn_did_not_meet_anew(tmp_path: Path) -> None:
@@ -361,7 +357,9 @@ def test_what_an_end_was_told_is_read_back_to_the_bit(tmp_path: Path) -> None:
     assert came.time_ns[3] == 3_000_007
 
 
-def test_a_full_disk_stops_what_is_written_of_the_inputs_and_never_the_loop(tmp_path: Path) -> None:
+def test_a_full_disk_stops_what_is_written_of_the_inputs_never_the_loop_and_a_flood_of_messages_does_not_fill_it(
+    tmp_path: Path
+) -> None:
     writer = inputs_of(tmp_path, 3)
     writer._files[0].close()
     writer._files[0] = Path("/dev/full").open("wb")  # noqa: SIM115 (the writer closes it)
@@ -371,14 +369,12 @@ def test_a_full_disk_stops_what_is_written_of_the_inputs_and_never_the_loop(tmp_
         writer.arrived(1, 0, 0, 0)
         writer.flush()
     writer.close()
-
-
-def test_a_flood_of_messages_does_not_fill_the_disk(tmp_path: Path) -> None:
-    writer = inputs_of(tmp_path, 1)
+    (tmp_path / "flood").mkdir()
+    writer = inputs_of(tmp_path / "flood", 1)
     for _ in range(3 * MOST):
         writer.arrived(1, 0, 0, 0)
     writer.close()
-    assert len(read_arrivals(tmp_path).tick) == MOST + 1
+    assert len(read_arrivals(tmp_path / "flood").tick) == MOST + 1
     assert str(writer.trouble).startswith(f"{2 * MOST} messages of the law that came are not in {ARRIVALS}")
 
 
@@ -387,28 +383,27 @@ def edit(path: Path, **keys: Any) -> None:
     path.write_bytes(json.dumps({**json.loads(first), **keys}).encode() + b"\n" + rows)
 
 
-@pytest.mark.parametrize(("spoil", "words"), [
+SPOILS: list[tuple[Callable[[Path], object], str]] = [
     (lambda at: at.unlink(), "to run again (No such file"),
     (lambda at: at.write_bytes(b"3\n"), "must be an object"),
     (lambda at: at.write_bytes(bytes(99)), "its first line is no header"),
     (lambda at: edit(at, version=2), "is of version 2, and this release reads version 1"),
     (lambda at: edit(at, dt_ns="x"), "dt_ns must be a whole number"),
     (lambda at: (at.unlink(), at.symlink_to("/etc/passwd")), "it is a link"),
-], ids=["missing", "other", "zeros", "version", "shape", "link"])
-def test_what_is_no_record_of_inputs_is_refused_in_one_sentence(
-    spoil: Callable[[Path], object], words: str, tmp_path: Path
-) -> None:
-    inputs_of(tmp_path, 3).close()
-    for name, read in ((INPUTS, lambda: read_inputs(tmp_path, SUMMED, ABOUT)),
-                       (ARRIVALS, lambda: read_arrivals(tmp_path))):
-        spoil(tmp_path / name)
-        with pytest.raises(Refused) as refused:
-            read()
-        assert words in str(refused.value)
-        assert str(tmp_path) in str(refused.value)
+]
 
 
-def test_inputs_of_another_scene_than_the_record_beside_them_are_refused(tmp_path: Path) -> None:
+def test_what_is_no_record_of_inputs_or_not_of_the_record_beside_it_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    for spoil, words in SPOILS:
+        inputs_of(tmp_path, 3).close()
+        for name, read in ((INPUTS, lambda: read_inputs(tmp_path, SUMMED, ABOUT)),
+                           (ARRIVALS, lambda: read_arrivals(tmp_path))):
+            spoil(tmp_path / name)
+            with pytest.raises(Refused) as refused:
+                read()
+            assert words in str(refused.value)
+            assert str(tmp_path) in str(refused.value)
+            (tmp_path / name).unlink(missing_ok=True)
     inputs_of(tmp_path, 3).close()
     with pytest.raises(Refused, match="is not of the run whose record lies beside it"):
         read_inputs(tmp_path, SUMMED, {**ABOUT, "scene": "canonical"})

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from random import Random
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,30 +26,25 @@ from teleop.live.replay.rerun import command_open_loop, difference, read_end
 from teleop.scene.playout import as_typed
 from tests.live.conftest import Pair
 from tests.live.recording import Recording
+from tests.teleop.conftest import Answer
 from tests.teleop.protocol.virtual_clock import MS, healing
 
 pytestmark = pytest.mark.live
 
 
-class Said(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
 @pytest.fixture
-def typed(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Said]:
+def typed(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Answer]:
     """`typed(*arguments)`: `teleop replay ARGUMENTS` in an empty folder."""
     monkeypatch.chdir(tmp_path)
 
-    def call(*arguments: object) -> Said:
+    def call(*arguments: object) -> Answer:
         code = main(["replay", *map(str, arguments)])
-        return Said(code, *capsys.readouterr())
+        return Answer(code, *capsys.readouterr())
 
     return call
 
 
-def test_a_live_run_is_run_again_to_the_bit(lossy: Path, typed: Callable[..., Said]) -> None:
+def test_a_live_run_is_run_again_to_the_bit(lossy: Path, typed: Callable[..., Answer]) -> None:
     said = typed(lossy)
     assert (said.code, said.err) == (0, "")
     for name in ("master", "slave"):
@@ -66,7 +61,7 @@ def test_a_live_run_is_run_again_to_the_bit(lossy: Path, typed: Callable[..., Sa
     ("x_m", "x_m"), ("v_m", "f_m"), ("gain", "f_m"), ("tx", "tx.u"), ("f_m", "f_m"),
 ])
 def test_one_number_that_is_another_is_named_with_its_tick(
-    column: str, field: str, lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+    column: str, field: str, lossy: Path, tmp_path: Path, typed: Callable[..., Answer]
 ) -> None:
     folder = tmp_path / "m"
     shutil.copytree(lossy / "master", folder)
@@ -85,7 +80,7 @@ def test_one_number_that_is_another_is_named_with_its_tick(
 
 
 def test_open_loop_the_same_law_commands_what_it_did_whatever_the_messages_come_from(
-    lossy: Path, typed: Callable[..., Said]
+    lossy: Path, typed: Callable[..., Answer]
 ) -> None:
     """With both ends the messages are sent anew and take the recorded way; alone, they are the recorded ones."""
     for folder, heard in ((lossy, "exchanged"), (lossy / "master", "recorded")):
@@ -98,7 +93,7 @@ def test_open_loop_the_same_law_commands_what_it_did_whatever_the_messages_come_
 
 
 def test_another_law_says_what_it_would_have_commanded_and_draws_it(
-    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+    lossy: Path, tmp_path: Path, typed: Callable[..., Answer]
 ) -> None:
     pytest.importorskip("matplotlib")
     said = typed(lossy, "--set", "law=pfra", "--plot", "--out", "mine")
@@ -115,7 +110,7 @@ def test_another_law_says_what_it_would_have_commanded_and_draws_it(
 
 
 def test_what_cannot_be_replayed_is_refused_in_one_sentence(
-    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+    lossy: Path, tmp_path: Path, typed: Callable[..., Answer]
 ) -> None:
     shutil.copytree(lossy / "master", tmp_path / "old")
     (tmp_path / "old" / INPUTS).unlink()
@@ -130,14 +125,11 @@ def test_what_cannot_be_replayed_is_refused_in_one_sentence(
         ([lossy / "slave", lossy / "master"], "give the master's folder first"),
     ):
         said = typed(*words)
-        assert (said.code, said.out) == (2, ""), words
-        assert said.err.startswith("teleop: "), said.err
-        assert said.err.count("\n") == 1, said.err
-        assert sentence in said.err
+        said.assert_refused(sentence)
 
 
 def test_a_scene_in_a_file_of_its_own_is_replayed_with_trust_alone(
-    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+    lossy: Path, tmp_path: Path, typed: Callable[..., Answer]
 ) -> None:
     folder, scene = tmp_path / "m", tmp_path / "mine.py"
     shutil.copytree(lossy / "master", folder)
@@ -152,7 +144,7 @@ def test_a_scene_in_a_file_of_its_own_is_replayed_with_trust_alone(
 
 
 def test_a_record_that_is_cut_off_is_replayed_as_far_as_it_goes_and_says_so(
-    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+    lossy: Path, tmp_path: Path, typed: Callable[..., Answer]
 ) -> None:
     folder = tmp_path / "m"
     shutil.copytree(lossy / "master", folder)
@@ -165,7 +157,7 @@ def test_a_record_that_is_cut_off_is_replayed_as_far_as_it_goes_and_says_so(
 
 
 def test_messages_that_no_folder_has_in_open_loop_are_told_of_and_each_note_once(
-    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+    lossy: Path, tmp_path: Path, typed: Callable[..., Answer]
 ) -> None:
     """Of a slave that was killed and started again its last folder alone was given: silence, and no word of it."""
     folder = tmp_path / "run"
@@ -184,7 +176,7 @@ def test_messages_that_no_folder_has_in_open_loop_are_told_of_and_each_note_once
 
 
 def test_whatever_a_folder_of_others_holds_a_replay_ends_in_an_answer_or_in_one_sentence(
-    lossy: Path, tmp_path: Path, typed: Callable[..., Said]
+    lossy: Path, tmp_path: Path, typed: Callable[..., Answer]
 ) -> None:
     dice, codes = Random(3), set()
     for i in range(16):

@@ -61,15 +61,20 @@ def test_both_ends_run_to_their_end_every_tick_is_accounted_for_and_the_motors_a
         merge(SCENE, master, slave)
 
 
-def test_what_is_said_while_it_runs_and_that_whoever_reads_along_may_leave(pair: Make) -> None:
-    left, said = list[Any](), list[dict[str, Any]]()
+def test_a_start_that_is_lost_is_repeated_before_tick_0_and_whoever_reads_along_may_leave(pair: Make) -> None:
+    left, said, lost = list[Any](), list[dict[str, Any]](), iter(range(2))
+    wire = wire_of(lambda data: peek(data)[0] is Kind.START and next(lost, None) is not None)
 
     def leave(numbers: dict[str, Any]) -> None:
         left.append(numbers)
         raise BrokenPipeError
 
-    both = pair(replace(SCENE, duration=0.6), parts={"m": {"say": leave}, "s": {"say": said.append}}).run()
+    scene = replace(SCENE, duration=0.6)
+    both = pair(scene, wire=wire, parts={"m": {"say": leave}, "s": {"say": said.append}}).run()
+    assert next(lost, None) is None
     assert both.status() == {"m": "ok", "s": "ok"}
+    counts = both.shells["s"].counts
+    assert (counts.first or 0) + counts.ticks + counts.skipped == scene.ticks
     assert len(left) == 1
     assert 1 <= len(said) <= 4
     assert [numbers["end"] for numbers in said] == ["s"] * len(said)
@@ -139,15 +144,6 @@ def test_when_the_other_falls_silent_the_watchdog_lets_go_and_the_run_ends_by_it
         assert result.trace[g].max() == 1.0
         assert result.trace[g][-1] == 0.0
         assert result.trace[f][-1] == 0.0
-
-
-def test_a_start_that_is_lost_is_repeated_before_tick_0(pair: Make) -> None:
-    lost = iter(range(2))
-    both = pair(SCENE, wire=wire_of(lambda data: peek(data)[0] is Kind.START and next(lost, None) is not None)).run()
-    assert next(lost, None) is None
-    assert both.status() == {"m": "ok", "s": "ok"}
-    counts = both.shells["s"].counts
-    assert (counts.first or 0) + counts.ticks + counts.skipped == SCENE.ticks
 
 
 # Other senders

@@ -118,12 +118,16 @@ def as_in_a_terminal() -> None:
         signal.signal(number, signal.SIG_DFL)
 
 
-def pair(command: Make, e: str = "s") -> tuple[Any, Any]:
-    """The end with that device, and the other."""
+def pair(command: Make, e: str = "s", force: Force | None = None, *, hangs: bool = False) -> tuple[Any, Any]:
+    """The end with that device, and the other; `force`: wait until there is one, and if it `hangs` for that."""
     names = {"m": "master", "s": "slave", e: "robot"}
     slave = command(names["s"], *SCENE, "--listen", "127.0.0.1:0", "--json", "--out", "s", preexec_fn=as_in_a_terminal)
     peer = ("--peer", f"127.0.0.1:{slave.port()}")
     master = command(names["m"], *SCENE, *peer, "--json", "--out", "m", preexec_fn=as_in_a_terminal)
+    if force is not None:
+        force.until(lambda f: abs(f) > 0.1)
+    if force is not None and hangs:
+        force.hangs()
     return (slave, master) if e == "s" else (master, slave)
 
 
@@ -171,8 +175,7 @@ def test_a_terminal_that_drops_and_an_impatient_finger_leave_no_force(
 ) -> None:
     """SIGHUP, SIGQUIT and SIGUSR killed an end with 4.26 N held; Ctrl-Z stopped it so."""
     force = robot(tmp_path, e)
-    own, other = pair(command, e)
-    force.until(lambda f: abs(f) > 0.1)
+    own, other = pair(command, e, force)
     for _ in range(impatient):
         own.signal(getattr(signal, name))
     code, _, err = own.end()
@@ -252,9 +255,7 @@ def test_a_hung_driver_or_law_is_ended_by_the_second_signal(
 ) -> None:
     """Neither two SIGTERMs nor Ctrl-C ended it, and it held its force."""
     force = robot(tmp_path, "s", act, where)
-    own, other = pair(command)
-    force.until(lambda f: abs(f) > 0.1)
-    force.hangs()
+    own, other = pair(command, "s", force, hangs=True)
     own.signal(signal.SIGTERM)
     time.sleep(0.05)
     own.signal(signal.SIGTERM)
@@ -272,9 +273,7 @@ def test_a_hung_driver_or_law_is_ended_by_the_second_signal(
 
 def test_a_hung_driver_is_ended_by_one_signal_that_is_not_heeded(command: Make, tmp_path: Path) -> None:
     force = robot(tmp_path, "m", "time.sleep(600)", "hang()")
-    own, _ = pair(command, "m")
-    force.until(lambda f: abs(f) > 0.1)
-    force.hangs()
+    own, _ = pair(command, "m", force, hangs=True)
     own.signal(signal.SIGINT)
     code, _, err = own.end()
     assert (code, force()) == (1, 0.0)
@@ -285,9 +284,7 @@ def test_a_driver_that_hangs_even_for_zero_is_ended_and_the_force_is_said_to_be_
     command: Make, tmp_path: Path
 ) -> None:
     force = robot(tmp_path, "s", "time.sleep(600)", when="self._k >= 500 and hang()")
-    own, _ = pair(command)
-    force.until(lambda f: abs(f) > 0.1)
-    force.hangs()
+    own, _ = pair(command, "s", force, hangs=True)
     own.signal(signal.SIGTERM)
     own.signal(signal.SIGINT)
     code, _, err = own.end()
@@ -316,8 +313,7 @@ def test_a_driver_that_takes_signals_for_itself_leaves_no_force(
     """The end died of SIGTERM with 4.26 N on."""
     act = {"the first reading": f"self._k == 0 and {TAKES[how]}", "a tick": f"self._k == 500 and {TAKES[how]}"}
     force = robot(tmp_path, "s", when=act.get(at, "pass"), opens=TAKES[how] if at == "opening" else "pass")
-    own, other = pair(command)
-    force.until(lambda f: abs(f) > 0.1)
+    own, other = pair(command, "s", force)
     while own.event("live")["k"] < 750:  # a tick or two after a look of the thread
         pass
     own.signal(signal.SIGTERM)
@@ -359,9 +355,7 @@ def test_a_driver_that_closed_the_pipe_of_signals_and_hung_was_ended_by_none(
 ) -> None:
     """The thread of last resort waited for a handler that wrote to a closed file: 4.26 N on, whatever was sent."""
     force = robot(tmp_path, "s", HANGS[act], f"import resource; [{deafens}]; hang()")
-    own, _ = pair(command)
-    force.until(lambda f: abs(f) > 0.1)
-    force.hangs()
+    own, _ = pair(command, "s", force, hangs=True)
     own.signal(signal.SIGTERM)
     time.sleep(0.05)
     own.signal(signal.SIGTERM)
@@ -378,8 +372,7 @@ def test_a_driver_that_closes_files_that_are_not_its_own_leaves_no_force(
     links = f"[fd for fd in range(3, 64) if fd != FILE and {kind!r} in link(fd)]"
     link = "link = lambda fd: os.path.exists(f'/proc/self/fd/{fd}') and os.readlink(f'/proc/self/fd/{fd}') or 'none'"
     force = robot(tmp_path, "s", where=f"{link}; [os.close(fd) for fd in {links} if link(fd) != 'none']")
-    own, _ = pair(command)
-    force.until(lambda f: abs(f) > 0.1)
+    own, _ = pair(command, "s", force)
     code, _, err = own.end()
     assert (code, force()) == (1, 0.0)
     assert "the live loop raised OSError" in err

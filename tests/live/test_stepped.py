@@ -13,16 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from channel import LeftOut
-from channel.link import parse_link
-from master.device import SimulatedMaster
-from master.hand import Grip, Rest, Sine
-from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
-from slave.robot import SimulatedSlave
-from teleop import Deadband, DeviceError, Integral, Operator, Reading, Refused, Scene, load_scene, run
+from channel import LeftOut, parse_link
+from master import Grip, Rest, SimulatedMaster, Sine
+from slave import HuntCrossley, Moving, SimulatedSlave, StandardLinearSolid, Tissue, Wall
+from teleop import PFRA, Deadband, DeviceError, Direct, Integral, Operator, Reading, Refused, Scene, load_scene, run
 from teleop.law import find_law, known_laws
-from teleop.laws.direct import Direct
-from teleop.laws.pfra import PFRA
 from teleop.laws.wave import Wave
 from teleop.live.driving import AGAIN
 from teleop.live.in_process import run_stepped

@@ -75,7 +75,7 @@ def test_the_stand_in_has_the_names_and_the_arguments_of_the_library() -> None:
     assert list(command.tau_J) == [0.5] * 7
 
 
-def test_seven_torques_are_slewed_bounded_and_let_go_of_when_they_are_not_renewed(
+def test_seven_torques_are_slewed_bounded_and_let_go_of_when_they_are_not_renewed_and_a_stopped_process_is_a_sentence(
     franka: Callable[..., Any], log: Path
 ) -> None:
     arm = franka("s", "robot?limit=5", load_scene("bench_top", **JOINTS))
@@ -85,11 +85,17 @@ def test_seven_torques_are_slewed_bounded_and_let_go_of_when_they_are_not_renewe
     assert reading.v[6] > 0.0
     assert arm.deadline == 0.15
     until(lambda: not any(torques(log)), "a torque that nobody renews stays on")
+    zero = (0.0,) * 7
+    until(lambda: not tick(arm, zero))
+    arm._process.send_signal(signal.SIGSTOP)
+    until(lambda: tick(arm, zero) == "the Franka at robot gave no state for 20 ms")
+    arm._process.send_signal(signal.SIGCONT)
+    until(lambda: not tick(arm, zero))
     arm.close()
     assert log.read_text().split()[0] == "1"  # the motion is finished
 
 
-def test_a_force_at_the_hand_goes_through_the_jacobian_and_against_the_hand_of_a_master(
+def test_a_force_at_the_hand_goes_through_the_jacobian_against_the_hand_of_a_master_and_a_killed_process_is_a_sentence(
     franka: Callable[..., Any], log: Path
 ) -> None:
     arm = franka("m", "robot?axes=z,-x".replace(",", ""), load_scene("bench_top", axes="2"))
@@ -97,6 +103,8 @@ def test_a_force_at_the_hand_goes_through_the_jacobian_and_against_the_hand_of_a
     z, x = arm.read(0).x
     assert z < 0.0
     assert x < 0.0  # its x is turned round
+    arm._process.kill()
+    until(lambda: tick(arm, (0.0, 0.0)) == "the process that drives the Franka at robot ended")
 
 
 @pytest.mark.parametrize(("host", "words"), [
@@ -113,18 +121,6 @@ def test_a_stop_of_the_robot_is_one_sentence_and_a_lost_packet_is_recovered_from
     until(lambda: tick(arm, zero) == words)
     if host == "lossy":
         until(lambda: not tick(arm, zero), "it never went on")
-
-
-def test_a_process_that_is_killed_or_stopped_is_a_sentence(franka: Callable[..., Any]) -> None:
-    arm = franka("s", "robot", load_scene("bench_top", **JOINTS))
-    zero = (0.0,) * 7
-    until(lambda: not tick(arm, zero))
-    arm._process.send_signal(signal.SIGSTOP)
-    until(lambda: tick(arm, zero) == "the Franka at robot gave no state for 20 ms")
-    arm._process.send_signal(signal.SIGCONT)
-    until(lambda: not tick(arm, zero))
-    arm._process.kill()
-    until(lambda: tick(arm, zero) == "the process that drives the Franka at robot ended")
 
 
 PUSHES = """

@@ -9,6 +9,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -93,13 +94,25 @@ class Served:
         return found
 
 
-Scenario = Callable[[Served], Awaitable[None]]
+Scenario = Callable[..., Awaitable[None]]
 
 
 @pytest.fixture
 def served(tmp_path: Path) -> Callable[..., Served]:
-    """`served(scenario)`: serve a page of hard_wall, have the scenario run beside it, and end both."""
+    """`served(scenario)`: serve a page of hard_wall, have the scenario run beside it, and end both.
+
+    A scenario of two arguments is given a browser too, which shows rows.
+    """
     return lambda scenario, html=HTML: asyncio.run(_serve(scenario, tmp_path / "page", html))
+
+
+async def _steps(scenario: Scenario, page: Served) -> None:
+    if len(signature(scenario).parameters) == 1:
+        await scenario(page)
+    else:
+        async with page.open() as browser:
+            await browser.until("rows")
+            await scenario(page, browser)
 
 
 async def _serve(scenario: Scenario, folder: Path, html: bytes) -> Served:
@@ -111,7 +124,7 @@ async def _serve(scenario: Scenario, folder: Path, html: bytes) -> Served:
     running = asyncio.create_task(page.run(Requests(html, TOKEN), 0, port.set_result))
     await asyncio.wait([running, port], return_when=asyncio.FIRST_COMPLETED)
     served = Served(await port, folder, page, interrupt)
-    steps = asyncio.ensure_future(scenario(served))
+    steps = asyncio.ensure_future(_steps(scenario, served))
     try:
         await asyncio.wait([running, steps], return_when=asyncio.FIRST_COMPLETED)
         if running.done():

@@ -164,24 +164,22 @@ def test_what_the_system_refuses_in_a_step_ended_the_page(
     served: Serve, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
 ) -> None:
     """With tracebacks, and without its parts put together. It is said once, and the next step goes on."""
-    async def scenario(page: Served) -> None:
-        async with page.open() as browser:
-            await browser.until("rows")
-            step, refused = page.page._step, []
+    async def scenario(page: Served, browser: Browser) -> None:
+        step, refused = page.page._step, []
 
-            def refuses(now: float) -> None:
-                if len(refused) < 20:
-                    refused.append(now)
-                    raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
-                step(now)
+        def refuses(now: float) -> None:
+            if len(refused) < 20:
+                refused.append(now)
+                raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+            step(now)
 
-            monkeypatch.setattr(page.page, "_step", refuses)
-            await browser.told("Too many open files")
-            asyncio.get_running_loop().call_exception_handler({
-                "message": "socket.accept() out of system resource", "exception": OSError(errno.EMFILE, "Too many")})
-            await browser.until("rows")
-            assert len(refused) == 20
-            assert len([text for text in said(browser) if "Too many open files" in text]) == 1
+        monkeypatch.setattr(page.page, "_step", refuses)
+        await browser.told("Too many open files")
+        asyncio.get_running_loop().call_exception_handler({
+            "message": "socket.accept() out of system resource", "exception": OSError(errno.EMFILE, "Too many")})
+        await browser.until("rows")
+        assert len(refused) == 20
+        assert len([text for text in said(browser) if "Too many open files" in text]) == 1
 
     served(scenario)
     assert "Traceback" not in capfd.readouterr().err
@@ -204,40 +202,38 @@ def said(browser: Browser) -> list[str]:
 @pytest.mark.full
 def test_floods_and_garbage_are_told_once_and_the_page_closed_while_another_is_shown_its_rows(served: Serve) -> None:
     """Empty parts without an end, and pings among them, were no messages."""
-    async def scenario(page: Served) -> None:
-        async with page.open() as browser:
-            await browser.until("rows")
-            for frame in (b"\x00\x80\x00\x00\x00\x00", b"\x89\x80\x00\x00\x00\x00"):
-                async with page.open() as parts:
-                    transport = parts.socket.transport
-                    transport.write(b"\x01\x80\x00\x00\x00\x00")  # a text begins
-                    await asyncio.sleep(0)
-                    for _ in range(10):
-                        transport.write(frame * 10_000)
-                    assert await closed(parts) == 1008, frame
-            async with page.open() as garbage:
-                await garbage.until("rows")
-                for i in range(25):
-                    await garbage.socket.send("{" if i % 2 else '{"type": "quit"}')
-                assert await closed(garbage) == 1008
-                assert len(said(garbage)) == 2, "each kind is told once"
-            async with page.open() as long:
-                await long.until("rows")
-                await long.socket.send("x" * 5000)
-                assert await closed(long) == 1009
-            assert page.orders("master") == [{"order": "hand", "to": None}][:len(page.orders("master"))]
-            async with page.open() as flood:
-                async def pour() -> None:
-                    text = json.dumps({"type": "hand", "to": [0.01]})
-                    while True:
-                        await flood.socket.send(text)
+    async def scenario(page: Served, browser: Browser) -> None:
+        for frame in (b"\x00\x80\x00\x00\x00\x00", b"\x89\x80\x00\x00\x00\x00"):
+            async with page.open() as parts:
+                transport = parts.socket.transport
+                transport.write(b"\x01\x80\x00\x00\x00\x00")  # a text begins
+                await asyncio.sleep(0)
+                for _ in range(10):
+                    transport.write(frame * 10_000)
+                assert await closed(parts) == 1008, frame
+        async with page.open() as garbage:
+            await garbage.until("rows")
+            for i in range(25):
+                await garbage.socket.send("{" if i % 2 else '{"type": "quit"}')
+            assert await closed(garbage) == 1008
+            assert len(said(garbage)) == 2, "each kind is told once"
+        async with page.open() as long:
+            await long.until("rows")
+            await long.socket.send("x" * 5000)
+            assert await closed(long) == 1009
+        assert page.orders("master") == [{"order": "hand", "to": None}][:len(page.orders("master"))]
+        async with page.open() as flood:
+            async def pour() -> None:
+                text = json.dumps({"type": "hand", "to": [0.01]})
+                while True:
+                    await flood.socket.send(text)
 
-                pouring = asyncio.create_task(pour())
-                assert await closed(flood) == 1008
-                pouring.cancel()
-                assert len([text for text in said(flood) if "200 messages a second" in text]) == 1
-            assert len(page.orders("master")) < 10
-            await browser.until("rows", lambda rows: rows["xm"] == [0.01])
+            pouring = asyncio.create_task(pour())
+            assert await closed(flood) == 1008
+            pouring.cancel()
+            assert len([text for text in said(flood) if "200 messages a second" in text]) == 1
+        assert len(page.orders("master")) < 10
+        await browser.until("rows", lambda rows: rows["xm"] == [0.01])
 
     served(scenario)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import re
 import signal
 import subprocess
@@ -23,8 +22,8 @@ from master.hand_record import HandRecording
 from teleop import load_result, load_scene, run
 from teleop.live.records.merge import scene_of
 from teleop.physics.plant import grip_force
-from teleop.scene.library import ROOT
 from teleop.simulation.bodies import master_coefficients
+from tests.live.conftest import OWN
 from tests.live.page.conftest import Browser
 from tests.waiting import PATIENCE, until
 
@@ -34,8 +33,7 @@ TYPED = [sys.executable, "-m", "teleop", "demo", "hard_wall", "--page", "--json"
 
 
 def environment(**more: str) -> dict[str, str]:
-    own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    return {**own, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": mkdtemp(), **more}  # no page's port is another's
+    return {**OWN, "XDG_RUNTIME_DIR": mkdtemp(), **more}  # no page's port is another's
 
 
 def shown(folder: Path, look: Callable[[Browser], Awaitable[None]], *words: str) -> dict[str, Any]:
