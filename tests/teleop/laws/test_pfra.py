@@ -196,11 +196,8 @@ def test_a_rest_gain_below_the_damping_makes_no_motion_grow_whatever_is_reflecte
     body = MassDamper(mass=mass, damping=damping)
     found = speeds(PFRA(kf=kf, rest_gain=0.99 * damping), body, pushes)
     assert all(after <= before * (1.0 + 1e-12) for before, after in pairwise(found))
-
-
-def test_one_above_it_does() -> None:
-    found = speeds(PFRA(rest_gain=1.0), MassDamper(mass=0.1, damping=0.5), [-100.0] * 500)
-    assert found[-1] > 5.0 * found[0]
+    above = speeds(PFRA(rest_gain=1.0), MassDamper(mass=0.1, damping=0.5), [-100.0] * 500)
+    assert above[-1] > 5.0 * above[0], "one above it does"
 
 
 @pytest.mark.parametrize(("rest_gain", "damping", "told"), [

@@ -6,6 +6,7 @@ import gc
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from math import inf, nan, sqrt
 from typing import Any
 
@@ -65,23 +66,16 @@ def played(age: int) -> np.ndarray:
 WAVY = np.sin(0.3 * np.arange(N)) + 0.01 * np.arange(N)
 
 
-def test_tracking_is_judged_against_the_master_as_it_was_a_forward_delay_ago() -> None:
-    for age in (1, 7, 50):
-        got = metrics(SCENE, trace(x_m=WAVY, x_s=later(WAVY, age), seq_s=played(age), seq_m=played(3)))
-        assert got["x_err_rms"] == got["x_err_max"] == 0.0, age
-        got = metrics(SCENE, trace(x_m=WAVY, x_s=later(WAVY, age) + 0.25, seq_s=played(age), seq_m=played(3)))
-        assert (got["x_err_rms"], got["x_err_max"]) == pytest.approx((0.25, 0.25)), age
-
-
-def test_the_force_felt_is_judged_against_the_force_touched_a_backward_delay_ago() -> None:
-    got = metrics(SCENE, trace(f_env=WAVY, f_m=later(WAVY, 9), seq_m=played(9), seq_s=played(2)))
-    assert got["f_err_rms"] == 0.0
-
-
-def test_without_a_link_the_delay_is_one_tick() -> None:
-    got = metrics(SCENE, trace(x_m=WAVY, x_s=later(WAVY, 1), f_env=WAVY, f_m=later(WAVY, 1)))
+def test_tracking_and_force_are_judged_against_the_other_end_as_it_was_a_delay_ago() -> None:
+    for age, off in product((1, 7, 50), (0.0, 0.25)):
+        got = metrics(SCENE, trace(x_m=WAVY, x_s=later(WAVY, age) + off, seq_s=played(age),
+                                   f_env=WAVY, f_m=later(WAVY, 9), seq_m=played(9)))
+        assert (got["x_err_rms"], got["x_err_max"], got["f_err_rms"]) == pytest.approx((off, off, 0.0)), age
+    got = metrics(SCENE, trace(x_m=WAVY, x_s=later(WAVY, 1), f_env=WAVY, f_m=later(WAVY, 1)))  # no link: a tick
     assert got["x_err_max"] == got["f_err_max"] == 0.0
     assert not [name for name in got if name.startswith(("T_", "fresh_"))]
+    got = metrics(SCENE, trace(x_s=np.where(np.arange(N) % 2, 0.3, -0.1), seq_s=played(10), seq_m=played(10)))
+    assert (got["x_err_rms"], got["x_err_max"]) == pytest.approx((sqrt((0.09 + 0.01) / 2.0), 0.3))
 
 
 def test_after_hours_the_delay_is_still_whole_ticks() -> None:
@@ -105,13 +99,6 @@ def test_ticks_that_a_live_end_skipped_are_no_error() -> None:
     got = metrics(SCENE, {name: column[keep] for name, column in columns.items()})
     assert got["x_err_max"] == 10.0  # tick 66 should see 59 and sees 49
     assert got["T_fwd_max"] == pytest.approx(7e-3)
-
-
-def test_rms_and_maximum_of_a_known_error() -> None:
-    x_s = np.where(np.arange(N) % 2, 0.3, -0.1)
-    got = metrics(SCENE, trace(x_s=x_s, x_m=np.zeros(N), seq_s=played(10), seq_m=played(10)))
-    assert got["x_err_rms"] == pytest.approx(sqrt((0.09 + 0.01) / 2.0))
-    assert got["x_err_max"] == pytest.approx(0.3)
 
 
 def test_in_three_axes_sizes_are_lengths() -> None:
@@ -191,6 +178,9 @@ def test_the_least_and_the_last_of_each_ledger() -> None:
     got = metrics(SCENE, trace(E_link=ledger, E_port=2.0 * ledger, E_law=ledger + 3.0))
     assert (got["E_link_min"], got["E_link_end"], got["E_port_min"], got["E_port_end"]) == (-1.0, 0.5, -2.0, 1.0)
     assert (got["E_law_min"], got["E_law_end"]) == (2.0, 3.5), "a least that is above zero is not zero"
+    got = metrics(SCENE, trace(g_m=np.linspace(1.0, 0.2, N), g_s=np.ones(N)))
+    assert (got["g_m_min"], got["g_s_min"]) == (0.2, 1.0)
+    assert metrics(SCENE, {name: column[:0] for name, column in trace().items()}) == {}, "without a tick there is none"
 
 
 def test_energy_received_is_compared_with_the_stamp_of_the_packet_it_came_with() -> None:
@@ -205,21 +195,12 @@ def test_energy_received_is_compared_with_the_stamp_of_the_packet_it_came_with()
     assert (got["E_fwd_min"], got["E_bwd_min"]) == (-3.0, 0.0)
 
 
-def test_the_watchdogs_least_gain() -> None:
-    got = metrics(SCENE, trace(g_m=np.linspace(1.0, 0.2, N), g_s=np.ones(N)))
-    assert (got["g_m_min"], got["g_s_min"]) == (0.2, 1.0)
-
-
 def test_a_figure_that_is_no_finite_number_is_left_out() -> None:
     x_s = np.zeros(N)
     for x_s[-1] in (nan, inf):
         got = metrics(SCENE, trace(x_s=x_s, seq_s=played(2), seq_m=played(2)))
         assert not got.keys() & {"x_err_rms", "x_err_max"}
         assert got["f_err_max"] == 0.0
-
-
-def test_a_run_without_ticks_has_no_figures() -> None:
-    assert metrics(SCENE, {name: column[:0] for name, column in trace().items()}) == {}
 
 
 NEEDS: dict[str, Callable[[Scene], bool]] = {

@@ -145,19 +145,15 @@ class TestNothingMovesAScene:
             assert still is not None
             assert (still.since, still.window) == (since, (2000 - since) // WINDOWS), reference
 
-    def test_from_its_start_without_a_hand(self) -> None:
+    def test_from_its_start_without_a_hand_and_never_where_hand_or_wall_moves_to_the_end(self) -> None:
         still = prepare(replace(load_scene("hard_wall"), hand=None)).still
         assert still is not None
         assert still.since == 0
-
-    def test_never_where_the_hand_or_the_wall_moves_to_the_end(self) -> None:
+        wall = Moving(environment=Wall(k=1e3, at=1.0), path=Sine(amplitude=0.01, frequency=1.0))
+        assert prepare(replace(load_scene("hard_wall"), environment=wall)).still is None
         for name in ("canonical", "beating_heart", "recorded_reach"):
             assert prepare(load_scene(name)).still is None, name
             assert "swing_end" not in run(load_scene(name, duration=0.5)).metrics, name
-
-    def test_never_where_the_wall_moves_and_the_hand_stays(self) -> None:
-        wall = Moving(environment=Wall(k=1e3, at=1.0), path=Sine(amplitude=0.01, frequency=1.0))
-        assert prepare(replace(load_scene("hard_wall"), environment=wall)).still is None
 
     def test_too_late_to_tell(self) -> None:
         scene = load_scene("hard_wall", duration=2.0 + 0.001 * (50 * WINDOWS - 1))

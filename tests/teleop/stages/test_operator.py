@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -109,12 +110,6 @@ def test_on_closing_positions_count_anew_and_the_force_fades_in() -> None:
     assert opened.metrics["x_err_max"] < 1.2 * away, "the tracking error is of what the law was told"
 
 
-def test_one_that_is_never_opened_changes_no_bit() -> None:
-    law = FourChannel()
-    with_one, none = run(scene(Operator(), law)).trace, run(scene(None, law)).trace
-    assert all(with_one[name].tobytes() == none[name].tobytes() for name in none)
-
-
 def test_a_small_slew_limit_holds_no_force_for_more_than_a_second_after_the_clutch_opened() -> None:
     """The same bits live; in each engine: `tests/engines`."""
     plan, law = Operator(clutch=((2.5, 4.0),), ramp=0.05), PositionPosition(K=1000.0)
@@ -131,22 +126,20 @@ def test_a_small_slew_limit_holds_no_force_for_more_than_a_second_after_the_clut
     assert any(event.what == "zero" for event in events)
 
 
-def test_an_absent_operator_is_an_open_clutch() -> None:
-    clutch = run(scene(Operator(clutch=((0.5, 1.0),)))).trace
-    absent = run(scene(Operator(absent=((0.5, 1.0),)))).trace
+def test_an_absent_operator_is_an_open_clutch_and_what_is_open_at_the_start_begins_without_force() -> None:
+    clutch = run(scene(Operator(clutch=((0.0, 0.2),)), start_s=0.02)).trace
+    absent = run(scene(Operator(absent=((0.0, 0.2),)), start_s=0.02)).trace
     switches = ("clutch_m", "present_m")
     assert all(np.array_equal(clutch[name], absent[name]) for name in clutch if name not in switches)
     assert absent["present_m"].tolist() == (1.0 - clutch["clutch_m"]).tolist()
+    assert not clutch["f_m"][:200].any()
+    assert clutch["f_m"][200:].any()
 
 
-def test_what_is_open_at_the_start_begins_without_force() -> None:
-    trace = run(scene(Operator(clutch=((0.0, 0.2),)), start_s=0.02)).trace
-    assert not trace["f_m"][:200].any()
-    assert trace["f_m"][200:].any()
-
-
-def test_the_eigenvalues_are_those_with_the_clutch_closed() -> None:
-    of = load_scene("soft_tissue", law="direct", delay=0.005)
+def test_one_that_is_never_opened_changes_no_bit_and_the_eigenvalues_are_those_with_the_clutch_closed() -> None:
+    law, of = FourChannel(), load_scene("soft_tissue", law="direct", delay=0.005)
+    with_one, none = run(scene(Operator(), law)).trace, run(scene(None, law)).trace
+    assert all(with_one[name].tobytes() == none[name].tobytes() for name in none)
     assert repr(linear_scene(replace(of, operator=OPENED))) == repr(linear_scene(of))
 
 
@@ -188,21 +181,24 @@ class Switched(SimulatedMaster):
         return super().read(k)._replace(clutch=clutch > 0.0, present=absent == 0.0)
 
 
-def driven(of: Scene, master: Any) -> tuple[dict[str, np.ndarray], list[Event]]:
-    """The master's record and events, of two ends that are driven by hand, without a link."""
-    ends, devices = met(of), {"m": master, "s": SimulatedSlave(of)}
-    rows: list[float] = []
+def driven(of: Scene, master: Any, slave: Any = None, act: Callable[[int, Any], object] = lambda k, ends: None
+           ) -> tuple[dict[str, np.ndarray], list[Event]]:
+    """Both records and the master's events, of two ends that are driven by hand, without a link; `act` before a tick."""
+    ends, devices = met(of), {"m": master, "s": slave or SimulatedSlave(of)}
+    rows: dict[str, list[float]] = {"m": [], "s": []}
     aligns = of.operator is not None and of.operator.align is not None
     for k in range(of.ticks):
         now = START + k * MS
+        act(k, ends)
         outs = {e: ends[e].tick(k, now, devices[e].read(k)) for e in "ms"}
         for e, other in ("ms", "sm"):
             devices[e].hold(outs[e].force)
             datagram = outs[e].datagram
             assert (datagram is None) is (aligns and k == 0 and e == "m")  # silent until it knows where the arm stands
             ends[other].receive(datagram or b"", now)
-        rows.extend(outs["m"].row)
-    return dict(end_columns(prepare(of), "m", EndRecord(range(of.ticks), rows, None))), ends["m"].guard.events
+            rows[e].extend(outs[e].row)
+    records = [end_columns(prepare(of), e, EndRecord(range(of.ticks), rows[e], None)) for e in "sm"]
+    return {name: column for record in records for name, column in record.items()}, ends["m"].guard.events
 
 
 def test_the_switches_of_a_live_device_do_what_a_schedule_does_in_virtual_time_to_the_bit() -> None:

@@ -32,7 +32,7 @@ from teleop.laws.pp import PositionPosition
 from teleop.protocol.guard import ForceGuard
 from teleop.stages.scaling import check_scale
 from tests.fakes import law_of
-from tests.teleop.protocol.ends import MS, START, met
+from tests.teleop.protocol.ends import met
 from tests.teleop.stages.test_operator import Metered, Port, bouncing, driven, scene
 
 
@@ -299,19 +299,9 @@ class WithSwitch(SimulatedMaster):
 def test_a_devices_clutch_of_the_rotation_and_an_order_do_what_schedules_do_to_the_bit() -> None:
     plan = Operator(clutch_rotation=((0.1, 0.3),), scales=((0.2, 0.5),), ramp=0.02)
     of = replace(load_scene("pose", law="pp", duration=0.6), link=None, operator=Operator(ramp=0.02))
-    expected = run(replace(of, operator=plan)).trace
-    ends = met(of)
-    devices: dict[str, Any] = {"m": WithSwitch(of), "s": SimulatedSlave(of)}
-    for k in range(of.ticks):
-        now = START + k * MS
-        if k == 200:
-            ends["m"].set_scale(k, 0.5)
-        outs = {e: ends[e].tick(k, now, devices[e].read(k)) for e in "ms"}
-        assert outs["m"].force == tuple(expected["f_m"][k].tolist()), k
-        for e, other in ("ms", "sm"):
-            devices[e].hold(outs[e].force)
-            ends[other].receive(outs[e].datagram or b"", now)
-    told = [why for _, what, why, _ in ends["m"].guard.events if what in ("clutch", "scale")]
+    got, events = driven(of, WithSwitch(of), act=lambda k, ends: k == 200 and ends["m"].set_scale(k, 0.5))
+    assert got["f_m"].tobytes() == run(replace(of, operator=plan)).trace["f_m"].tobytes()
+    told = [why for _, what, why, _ in events if what in ("clutch", "scale")]
     assert [each[:31] for each in told] == [
         "the operator holds the clutch o", "the scale is set to 0.5: a metr", "the clutch is closed: positions"]
 
@@ -319,29 +309,15 @@ def test_a_devices_clutch_of_the_rotation_and_an_order_do_what_schedules_do_to_t
 @pytest.mark.parametrize("device", [None, (Device(encoder=Encoder(step=1e-6)),) * 6], ids=["read", "encoders"])
 def test_a_live_master_is_silent_until_it_knows_where_the_arm_stands_and_then_brings_it(device: Any) -> None:
     """The arm is not where the scene has it: positions are the devices' own, and the first message tells where."""
-    of = replace(load_scene("pose", law="pp", duration=3.0), link=None, hand=None, environment=None,
+    of = replace(load_scene("pose", law="pp", duration=0.8), link=None, hand=None, environment=None,
                  operator=Operator(align=SPEEDS), device_s=device)
-    elsewhere = replace(of, start_s=POSE)
-    ends = met(of)
-    devices: dict[str, Any] = {"m": SimulatedMaster(of), "s": SimulatedSlave(elsewhere)}
-    places = []
-    for k in range(of.ticks):
-        now = START + k * MS
-        outs = {e: ends[e].tick(k, now, devices[e].read(k)) for e in "ms"}
-        if k == 0:
-            assert outs["m"].datagram is None
-        for e, other in ("ms", "sm"):
-            devices[e].hold(outs[e].force)
-            ends[other].receive(outs[e].datagram or b"", now)
-        places.append((*outs["s"].row[:6], *outs["m"].force))
-        if any(outs["m"].force):
-            break
-    way = np.array(places)
-    assert way[0, :6] == pytest.approx(POSE)
+    got, events = driven(of, SimulatedMaster(of), SimulatedSlave(replace(of, start_s=POSE)))
+    k = int(np.flatnonzero(got["f_m"].any(axis=1))[0])
     assert 0.5 < 0.001 * k < 0.7, "the translation closes first, after 0.6 s"
-    assert np.abs(np.diff(way, axis=0)).max(axis=0)[:3].max() < 2.5 * 0.05 * 1e-3
-    assert np.abs(way[-1, :3]).max() < 5e-3
-    assert any("is brought to the handle" in why for _, _, why, _ in ends["m"].guard.events)
+    assert got["x_s"][0] == pytest.approx(POSE)
+    assert np.abs(np.diff(got["x_s"][:k + 1], axis=0)).max(axis=0)[:3].max() < 2.5 * 0.05 * 1e-3
+    assert np.abs(got["x_s"][k, :3]).max() < 5e-3
+    assert any("is brought to the handle" in why for _, _, why, _ in events)
 
 
 def test_events_say_that_a_way_is_too_long_and_that_an_arm_does_not_follow() -> None:

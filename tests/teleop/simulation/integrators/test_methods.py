@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from master.hand import Grip, Sine
 from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
@@ -22,11 +20,11 @@ from teleop.analysis.precision.reference.reference import settle
 from teleop.physics.contact import wall
 from teleop.physics.plant import free_space, grip, move_free, move_gripped, spring_damper
 from teleop.physics.relaxing import relaxing
-from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, resistance_force
+from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators import relaxed
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch
-from teleop.simulation.integrators.nonlinear import ADVANCE, goes, kicked
+from teleop.simulation.integrators.nonlinear import ADVANCE, goes
 from teleop.simulation.integrators.parts import has_closed_form
 from teleop.simulation.integrators.relaxed import Branch
 from teleop.simulation.integrators.stepped import bodies_of, method_bodies, stepped, sub_step, touch_of
@@ -141,48 +139,6 @@ def test_the_other_side_is_the_mirror_image(method: IntegrationMethod) -> None:
         c, d, _ = other.move(other.c, -x, -v, -1.0)
         assert (a, b) == (-c, -d)
         assert one.force(one.c, x, v) == -other.force(other.c, -x, -v)
-
-
-@given(
-    p=st.floats(-1e-3, 1e-3), u=st.floats(-1.0, 1.0), f=st.floats(-20.0, 20.0),
-    k=st.sampled_from([0.0, 1e3, 1e6]), d=st.sampled_from([0.0, 10.0, 1e3]),
-)
-def test_a_backward_euler_step_satisfies_its_own_equation(p: float, u: float, f: float, k: float, d: float) -> None:
-    """`m (U - u)/h + b U + g = f` with g the wall's force at the end, or on the surface between 0 and d U."""
-    if k == d == 0.0:
-        return
-    h = 1e-3
-    exact = wall(BODY, h, k=k, d=d, at=0.0, side=1.0)
-    plant = stepped(BY_NAME["backward_euler"], touch_of(exact, BODY), h, 1)
-    q, w, _ = plant.move(plant.c, p, u, f)
-    assert q == pytest.approx(p + h * w, abs=1e-15)
-    g = f - 0.5 * (w - u) / h - w
-    rounding = 1e-9 * (abs(f) + 500.0 * (abs(w) + abs(u))) + 1e-300  # the least numbers have no digits to lose
-    if q == 0.0:
-        assert -rounding <= g <= d * max(w, 0.0) + rounding
-    else:
-        assert g == pytest.approx(max(0.0, k * q + d * w) if q > 0.0 else 0.0, abs=rounding)
-
-
-@pytest.mark.parametrize(("p", "u", "f"), [(-1e-4, 0.5, 1.0), (-5e-4, 0.6, 1.0), (1e-4, -0.2, 0.0), (2e-4, -0.4, 1.0)])
-def test_radau_solves_its_two_stages_together_with_their_contact(p: float, u: float, f: float) -> None:
-    """Butcher's tableau with the wall's force at both stages, from an independent root finder."""
-    from scipy.optimize import fsolve
-
-    h, k, d = 1e-3, 2e4, 0.0
-    a = h * np.array([[5 / 12, -1 / 12], [3 / 4, 1 / 4]])
-
-    def push(q: np.ndarray) -> np.ndarray:
-        return np.where(q > 0.0, np.maximum(k * q, 0.0), 0.0)
-
-    def residual(w: np.ndarray) -> np.ndarray:
-        return w - u - a @ ((f - w - push(p + a @ w)) / 0.5)
-
-    want = fsolve(residual, np.full(2, u), xtol=1e-13)
-    exact = wall(BODY, h, k=k, d=d, at=0.0, side=1.0)
-    plant = stepped(BY_NAME["radau"], touch_of(exact, BODY), h, 1)
-    got = plant.move(plant.c, p, u, f)
-    assert got[:2] == pytest.approx((p + (a @ want)[1], want[1]), rel=1e-9)
 
 
 # In a run
@@ -338,24 +294,6 @@ def test_through_a_stop_every_method_comes_to_where_the_body_stops(method: Integ
     core, state = (NOTHING, 0.5, 1.0, 0.0, 0.0, 1.5, 0.0, 3.0), (0.0, 0.02, 1.0, 0.0)
     want = settle(core, *state, 0.01, "DOP853").p
     assert ADVANCE[method.name](core, *state, 0.01 / 4096, 4096)[0] == pytest.approx(want, abs=1e-7)
-
-
-@given(
-    kind=st.sampled_from([NOTHING, WALL, BOND, HUNT_CROSSLEY]), p=st.floats(-1e-3, 1e-3), w=st.floats(-1.0, 1.0),
-    f=st.floats(-20.0, 20.0), s=st.sampled_from([0.0, 0.1]), fc=st.sampled_from([0.0, 2.0]),
-    d=st.sampled_from([0.0, 10.0]), lam=st.sampled_from([0.0, 3.0]),
-)
-def test_the_second_half_of_verlets_kick_satisfies_its_own_equation(
-    kind: int, p: float, w: float, f: float, s: float, fc: float, d: float, lam: float
-) -> None:
-    core, tau = (kind, 0.5, 1.0, 1e4, d, 1.5, lam, fc), 1e-3
-    u = kicked(core, p, w, tau, f, s)
-    left = f - 0.5 * (u - w) / tau - u - resistance_force(core, p, u)  # what friction must be
-    rounding = 1e-9 * (1.0 + abs(f) + 500.0 * (abs(u) + abs(w)))
-    if u == -s:
-        assert abs(left) <= fc + rounding
-    else:
-        assert left == pytest.approx(fc if u + s > 0.0 else -fc, abs=rounding)
 
 
 # In a run
