@@ -189,12 +189,6 @@ class TestASweep:
         assert len(names) == 6
         assert [name.split()[:2] for name in names] == [["law", "wave"]] * 3 + [["law", "pp"]] * 3
 
-    def test_of_a_sample_is_drawn_as_points(self, typed: Typed) -> None:
-        typed("sweep", "soft_tissue", "--grid", "delay=0:0.1", "k_e=1e2:1e3", "--latin", "9", *SHORT, "--out", "drawn")
-        typed("report", "drawn")
-        (figure,) = Page(Path("drawn/report.html").read_bytes()).figures
-        assert len([one for one in figure.iter(f"{SVG}path") if "c" in str(one.get("d"))]) == 9  # round
-
     def test_of_more_values_than_a_page_has_cells_or_of_seeds_alone_says_what_is_not_shown(
             self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("teleop.sweeps.pictures.picture.ALONG", 2)

@@ -198,18 +198,16 @@ class TestReport:
         typed("sweep", "soft_tissue", "--grid", "delay=0,0.1", "k_e=1,2", *SHORT)
         return typed
 
-    def test_tells_engine_and_why_and_what_it_drew(self, swept: Typed) -> None:
+    def test_tells_engine_and_why_and_what_it_drew_and_with_json_the_summary_that_is_there(self, swept: Typed) -> None:
         pytest.importorskip("matplotlib")
+        stored = json.loads((FOLDER / "summary.json").read_text())
+        assert json.loads(swept("report", str(FOLDER), "--json").out) == stored
+        assert not (FOLDER / "sweep.png").exists()
         answer = swept("report", str(FOLDER), "--plot")
         assert answer.code == 0
         assert "engine   plain: about" in answer.out
         assert f"\nplot: {FOLDER / 'sweep.png'}\n" in answer.out
         assert (FOLDER / "sweep.png").read_bytes().startswith(b"\x89PNG")
-
-    def test_with_json_is_the_summary_that_is_there(self, swept: Typed) -> None:
-        stored = json.loads((FOLDER / "summary.json").read_text())
-        assert json.loads(swept("report", str(FOLDER), "--json").out) == stored
-        assert not (FOLDER / "sweep.png").exists()
 
     @pytest.mark.full
     def test_with_another_metric_leaves_the_picture_of_the_first(self, swept: Typed) -> None:
@@ -255,11 +253,6 @@ class TestASummary:
         with pytest.raises(Refused, match="the rows are kept"):
             write(call(2), tmp_path)
         assert summary_of(tmp_path) == call(1)
-
-    @pytest.mark.parametrize("text", ["", "{", "[1]", "\xff"])
-    def test_that_cannot_be_read_is_none(self, tmp_path: Path, text: str) -> None:
-        (tmp_path / "summary.json").write_text(text, encoding="latin-1")
-        assert summary_of(tmp_path) == {}
 
 
 def refused(counts: list[int]) -> Table:
@@ -309,14 +302,12 @@ class TestAFolder:
               out=tmp_path / "s")
         return tmp_path / "s"
 
-    def test_without_a_summary_tells_its_definition_and_its_rows(self, folder: Path) -> None:
+    def test_tells_its_definition_its_rows_as_they_are_and_with_a_summary_what_ran_it(self, folder: Path) -> None:
         told, text, table = told_of(folder)
         assert (told["scene"], told["done"], len(table)) == ("soft_tissue", 6, 6)
         assert told["counts"] == {"ok": 4, "refused": 2}
         assert "engine" not in text
         assert "refused   2 rows: k_e must be at least 0 N/m, not -1" in text
-
-    def test_with_one_tells_what_ran_it_and_counts_the_rows_as_they_are(self, folder: Path) -> None:
         write(joined(call(4, why="few rows", done=4, rows=6), joined(call(2), {})), folder)
         told, text, _ = told_of(folder)
         assert "engine    vector: few rows" in text

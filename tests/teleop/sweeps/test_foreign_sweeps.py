@@ -130,9 +130,9 @@ def test_a_summary_of_wrong_types_is_left_out(tmp_path: Path) -> None:
     wrong: tuple[Any, ...] = (
         {"rows": "8"}, {"rows": -1}, {"runs": 3}, {"runs": [3]}, {"limits": 3}, {"limits": {"x_limit": "far"}},
         {"why": []}, {"scene": 3}, [], "x", 3, None, {"engine": None})
-    for told in wrong:
-        (folder / "summary.json").write_text(json.dumps(told))
-        assert summary_of(folder) == {}, told
+    for text in ("", "{", "\xff", *map(json.dumps, wrong)):
+        (folder / "summary.json").write_text(text, encoding="latin-1")
+        assert summary_of(folder) == {}, text
     assert main(["report", str(folder)]) == 0
 
 

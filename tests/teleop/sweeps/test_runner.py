@@ -93,13 +93,6 @@ class TestARow:
             assert (good["status"], bad["status"]) == ("ok", "refused")
             assert words in bad["sentence"]
 
-    def test_that_diverges_is_a_row(self) -> None:
-        row, = rows(sweep("soft_tissue", {"law": ["direct"]}, fixed={**FIXED, "x_limit": 1e-3}))
-        single = run(load_scene("soft_tissue", **FIXED, law="direct", x_limit=1e-3))
-        assert row["status"] == single.status == "diverged"
-        assert row["ticks"] == single.ticks
-        assert row["x_err_rms"] == single.metrics["x_err_rms"]
-
 
 def test_whoever_runs_it_the_rows_are_the_same() -> None:
     one_by_one = rows(sweep("soft_tissue", AXES, seeds=3, fixed=FIXED))
@@ -197,7 +190,11 @@ def test_what_has_no_line_in_c_is_said_with_its_file_and_line() -> None:
     assert re.search(r"test_runner.py:\d+: .*has no line in C", why), why
 
 
-def test_figures_that_need_a_record_are_said_to_be_run_in_plain_python() -> None:
+def test_a_plan_has_the_figures_of_any_law_of_its_grid_the_value_of_every_knob_and_says_what_needs_a_record() -> None:
+    for laws in (["direct", "wave"], ["wave", "direct"]):
+        assert "E_link_min" in plan_sweep("canonical", {"law": laws}).definition()["metrics"]
+    one, same, other = (plan_sweep("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=b)}) for b in (3.0, 3.0, 4.0))
+    assert one.definition() == same.definition() != other.definition()
     plan = plan_sweep("canonical", {"k_e": [1e3 + n for n in range(400)]}, metrics=["x_err_rms", "E_fwd_min"])
     assert (plan.engine, plan.why) == ("plain", "a metric needs the whole record of a run")
 
@@ -232,11 +229,6 @@ def hypot3(x: float, **_: float) -> float:
     return x
 
 
-def test_the_usual_figures_are_those_that_any_law_of_the_grid_has() -> None:
-    for laws in (["direct", "wave"], ["wave", "direct"]):
-        assert "E_link_min" in plan_sweep("canonical", {"law": laws}).definition()["metrics"]
-
-
 @pytest.mark.full
 def test_rows_that_grow_dear_are_not_handed_out_by_the_thousand() -> None:
     """The first half of the rows takes nothing, for they are refused at once."""
@@ -250,12 +242,6 @@ def test_rows_that_grow_dear_are_not_handed_out_by_the_thousand() -> None:
     ranges = {"duration": [0.01] + [-1.0] * 300 + [3.0] * 60}
     sweep("soft_tissue", ranges, metrics=["x_err_rms"], engine="plain", executor=Watched())
     assert max(b / a for a, b in pairwise(sizes)) <= 4.0
-
-
-def test_what_a_folder_is_held_to_is_the_value_of_every_knob() -> None:
-    plan = plan_sweep("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=3.0)})
-    assert plan.definition() == plan_sweep("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=3.0)}).definition()
-    assert plan.definition() != plan_sweep("soft_tissue", {"delay": [0.0]}, fixed={"law": Wave(b=4.0)}).definition()
 
 
 class TestAWrongRequest:

@@ -56,14 +56,6 @@ class TestOnePort:
         wanted = sampled.needed_damping(filtered_wall(800.0, 0.4, T, 30.0), T)
         assert one_port(slow).needed.damping == pytest.approx(wanted.damping, rel=1e-8)
 
-    def test_the_closed_form_of_a_coupling_is_its_controller(self) -> None:
-        from teleop.analysis.passivity.one_port import _controller
-
-        scene = load_scene("virtual_coupling")
-        th = np.geomspace(1e-2, 3.0, 20)
-        by_ticks, closed = (sampled.smooth(E, th) for E in (_controller(scene, T), one_port(scene).E))
-        assert by_ticks == pytest.approx(closed, rel=1e-7)
-
     def test_a_coupling_to_an_active_tool(self) -> None:
         got = one_port(load_scene("virtual_coupling", b=1.2, **{
             "law.theta_f": 0.0, "law.k_e": 2000.0, "law.mass": 1e-3})).behind

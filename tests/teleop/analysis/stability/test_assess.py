@@ -32,12 +32,6 @@ class Force(NamedTuple):
     f_e: float  # N
 
 
-# A spring that is worked out at the far end of the link.
-VirtualWall = law_of(
-    master_start=lambda _, __: ((), Force(0.0)), master=lambda _, s, at, rx: (rx.f_e, Force(at.x), s),
-    slave_start=lambda _, __: ((), Force(0.0)), slave=lambda law, s, _, rx: (0.0, Force(law.K * rx.f_e), s))
-
-
 def late_force(law: Any, s: Force, at: At, rx: Motion) -> tuple[float, Force, Force]:
     after = Force(s.f_e - math.expm1(-300.0 * at.dt) * (at.f - s.f_e))
     return law.K * (rx.x - at.x) + law.B * (rx.v - at.v), after, after
@@ -130,27 +124,7 @@ class TestTheDelayMargin:
             assert found.integrators == 1  # two hands that agree on a force may stand anywhere
             assert found.gain_margin == 1.0  # so that any more makes it wander off
 
-
-class TestPublishedNumbers:
-    @pytest.mark.parametrize(("delay", "K"), [
-        (10, 78.75), *(pytest.param(*each, marks=pytest.mark.full) for each in ((5, 148.08), (100, 9.741)))])
-    def test_the_critical_stiffness_of_a_delayed_virtual_wall(self, delay: int, K: float) -> None:
-        """The wall stands at the far end of a round trip of as many ticks; the published digits, and a polynomial."""
-        def wall(stiffness: float) -> Scene:
-            link = handles_link(delay - 2, 2)
-            return Scene(law=VirtualWall(K=stiffness), master=HANDLE, slave=HANDLE, link=link, duration=1.0)
-
-        found = critical(wall, "K", low=1.0, high=1e4)
-        assert found.value == pytest.approx(K, rel=1e-4)
-        assert found.stable == "below"
-        e, m, b, dt = math.exp(-0.8e-3 / 0.04), 0.04, 0.8, 1e-3
-        closed = np.concatenate([np.convolve([1.0, -1.0], [1.0, -e]), np.zeros(delay)])
-        closed[-2:] += found.value * np.array([dt / b - (1 - e) * m / b**2, (1 - e) * m / b**2 - e * dt / b])
-        assert np.abs(np.roots(closed)).max() == pytest.approx(1.0, abs=1e-7)
-        margin = stability(wall(2.0)).gain_margin
-        assert 2.0 * margin == pytest.approx(found.value, rel=2e-6)
-
-    def test_damping_injection_needs_the_sum_of_the_delays(self) -> None:
+    def test_of_damping_injection_needs_the_sum_of_the_delays(self) -> None:
         """Two free 5 kg masses, 400 N/m, 50 ms each way."""
         body = MassDamper(mass=5.0)
         for Bd, verdict in ((15.0, "unstable"), (20.0, "stable")):

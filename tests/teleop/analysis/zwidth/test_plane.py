@@ -137,17 +137,6 @@ class TestRegion:
         assert boundary(free, [0.0], Span(1500.0, 1e4)).K[0] == pytest.approx(1605.35, abs=5e-3)
 
 
-@pytest.mark.parametrize(("knobs", "B"), [
-    ({"delay": 2}, 0.8), *(pytest.param(*each, marks=pytest.mark.full) for each in (
-        ({}, 0.0), ({}, 0.8), ({"delay": 2}, 0.0), ({"every": 5}, 0.0), ({"every": 5}, 0.8)))])
-
-
-def test_without_an_encoder_it_is_the_edge_of_the_linear_loop(knobs: dict[str, int], B: float) -> None:
-    scene = load_scene("virtual_wall", **knobs)
-    exact = boundary(loop(scene, hand=True), [B]).K[0]
-    assert stiffest_at_rest(let_go(scene), B, near=exact) == pytest.approx(exact, rel=0.06)
-
-
 def test_up_to_what_is_found_all_that_were_tried_rest() -> None:
     scene = let_go(load_scene("virtual_wall", step=2e-5))
     tried: list[tuple[float, bool]] = []

@@ -224,8 +224,11 @@ class Sitting:
         return [row for row in self.journal.rows if row["kind"] == "trial"]
 
 
+Sitter = Callable[..., Sitting]
+
+
 @pytest.fixture
-def sitting(tmp_path: Path) -> Callable[..., Sitting]:
+def sitting(tmp_path: Path) -> Sitter:
     """`sitting(task, more="")`: a session of the plan with this task."""
     def make(task: str = COMPARE, more: str = "", primary: str = "correct", **options: Any) -> Sitting:
         return Sitting(tmp_path, PLAN.replace("TASK", task).replace("PRIMARY", primary) + more, **options)
@@ -233,9 +236,7 @@ def sitting(tmp_path: Path) -> Callable[..., Sitting]:
     return make
 
 
-def test_a_session_goes_from_consent_to_its_end_and_nothing_that_is_sent_names_a_condition(
-    sitting: Callable[..., Sitting]
-) -> None:
+def test_a_session_goes_from_consent_to_its_end_and_nothing_that_is_sent_names_a_condition(sitting: Sitter) -> None:
     at = sitting(more=MORE)
     at.sent += at.conduct.greeting()
     at.carry_on()
@@ -261,7 +262,7 @@ def test_a_session_goes_from_consent_to_its_end_and_nothing_that_is_sent_names_a
     assert kept.stat().st_mode & 0o777 == 0o600
 
 
-def test_a_law_that_takes_longer_was_told_by_the_time_between_two_trials(sitting: Callable[..., Sitting]) -> None:
+def test_a_law_that_takes_longer_was_told_by_the_time_between_two_trials(sitting: Sitter) -> None:
     """From the answer, and from the end of the first interval, to the next one it is the plan's time."""
     at = sitting()
     begins: list[tuple[str, float]] = []
@@ -285,7 +286,7 @@ def test_a_law_that_takes_longer_was_told_by_the_time_between_two_trials(sitting
 
 @pytest.mark.parametrize("late", [2, LATE_TURNS])
 def test_a_turn_that_takes_longer_is_done_again_and_flagged_and_a_robot_that_is_never_ready_started_anew(
-    sitting: Callable[..., Sitting], late: int
+    sitting: Sitter, late: int
 ) -> None:
     slow = iter([2.0] * late)
     at = sitting(takes=lambda _: next(slow, 0.1))
@@ -297,7 +298,7 @@ def test_a_turn_that_takes_longer_is_done_again_and_flagged_and_a_robot_that_is_
         assert walls[0] == walls[1] == walls[2] != walls[3], "the first interval three times, then the second"
 
 
-def test_an_answer_counts_after_both_intervals_alone(sitting: Callable[..., Sitting]) -> None:
+def test_an_answer_counts_after_both_intervals_alone(sitting: Sitter) -> None:
     at = sitting()
     at.say("consent", code="P1")
     at.say("answer", interval=1)
@@ -314,7 +315,7 @@ def test_an_answer_counts_after_both_intervals_alone(sitting: Callable[..., Sitt
     assert at.trials[0]["answer"] == 1
 
 
-def test_stop_brings_the_force_to_zero_and_marks_the_trial(sitting: Callable[..., Sitting]) -> None:
+def test_stop_brings_the_force_to_zero_and_marks_the_trial(sitting: Sitter) -> None:
     at = sitting()
     at.say("consent", code="P1")
     at.say("next")
@@ -329,7 +330,7 @@ def test_stop_brings_the_force_to_zero_and_marks_the_trial(sitting: Callable[...
     assert at.rig.done[-1] == ("let go", None)
 
 
-def test_a_trial_that_was_cut_is_run_again_with_the_same_walls(sitting: Callable[..., Sitting]) -> None:
+def test_a_trial_that_was_cut_is_run_again_with_the_same_walls(sitting: Sitter) -> None:
     """By a screen that is gone, a robot that is lost, or a session that ended in the middle."""
     at = sitting()
     at.say("consent", code="P1")
@@ -350,7 +351,7 @@ def test_a_trial_that_was_cut_is_run_again_with_the_same_walls(sitting: Callable
     assert walls[0] == next(knobs["k_e"] for what, knobs in at.rig.done if what == "turn")
 
 
-def test_whoever_withdraws_leaves_nothing(sitting: Callable[..., Sitting]) -> None:
+def test_whoever_withdraws_leaves_nothing(sitting: Sitter) -> None:
     at = sitting()
     at.carry_on(stop_after=1)
     at.study.write_tables()
@@ -363,7 +364,7 @@ def test_whoever_withdraws_leaves_nothing(sitting: Callable[..., Sitting]) -> No
     assert "withdrawn" in at.sent[-1]
 
 
-def test_a_code_is_asked_for_and_belongs_to_one_person(sitting: Callable[..., Sitting]) -> None:
+def test_a_code_is_asked_for_and_belongs_to_one_person(sitting: Sitter) -> None:
     at = sitting()
     with at.study.journal(2) as other:
         other.append({"kind": "session", "code": "P2"})
@@ -373,7 +374,7 @@ def test_a_code_is_asked_for_and_belongs_to_one_person(sitting: Callable[..., Si
     assert at.journal.rows == []
 
 
-def test_a_break_lasts_as_long_as_the_plan_says(sitting: Callable[..., Sitting]) -> None:
+def test_a_break_lasts_as_long_as_the_plan_says(sitting: Sitter) -> None:
     at = sitting(more=MORE)
     at.carry_on(stop_after=2)
     at.until(Screen.BREAK)
@@ -386,9 +387,7 @@ def test_a_break_lasts_as_long_as_the_plan_says(sitting: Callable[..., Sitting])
     assert at.journal.rows[-1]["seconds"] == pytest.approx(30.5)
 
 
-def test_a_reach_ends_when_the_robot_rests_and_its_time_counts_from_the_first_movement(
-    sitting: Callable[..., Sitting]
-) -> None:
+def test_a_reach_ends_when_the_robot_rests_and_its_time_counts_from_the_first_movement(sitting: Sitter) -> None:
     at = sitting(REACH, primary="time")
     at.carry_on(press=0.022, stop_after=1)
     row = at.trials[0]
@@ -400,7 +399,7 @@ def test_a_reach_ends_when_the_robot_rests_and_its_time_counts_from_the_first_mo
     assert target == {"at": 0.02, "width": 0.01, "of": "slave"}
 
 
-def test_a_plan_decides_what_of_the_robot_is_shown(sitting: Callable[..., Sitting]) -> None:
+def test_a_plan_decides_what_of_the_robot_is_shown(sitting: Sitter) -> None:
     at = sitting(COMPARE + '\nshow = ["hand"]')
     at.carry_on(stop_after=1)
     stages = [message for message in map(json.loads, at.sent) if message["type"] == "stage"]
@@ -409,7 +408,7 @@ def test_a_plan_decides_what_of_the_robot_is_shown(sitting: Callable[..., Sittin
     assert {frozenset(row) for row in rows} == {frozenset({"type", "hand"})}
 
 
-def test_a_lost_focus_and_the_refresh_of_the_screen_are_kept(sitting: Callable[..., Sitting]) -> None:
+def test_a_lost_focus_and_the_refresh_of_the_screen_are_kept(sitting: Sitter) -> None:
     at = sitting()
     at.say("screen", refresh=59.94)
     at.carry_on(stop_after=1)
@@ -421,7 +420,7 @@ def test_a_lost_focus_and_the_refresh_of_the_screen_are_kept(sitting: Callable[.
 
 @pytest.mark.parametrize("device", [None, "haply:/dev/ttyACM0"])
 def test_a_press_by_a_device_names_it_and_only_one_by_a_pointer_shows_how_far_to_pull(
-    sitting: Callable[..., Sitting], device: str | None
+    sitting: Sitter, device: str | None
 ) -> None:
     at = sitting('kind = "press"\nforces = [2.0]\nseconds = 1.0', primary="peak_force", device=device)
     at.carry_on(stop_after=1)
