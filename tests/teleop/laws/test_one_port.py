@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 from dataclasses import replace
-from math import inf, isnan, nan, pi, sin
+from math import inf, isnan, nan, pi
 
 import numpy as np
 import pytest
@@ -55,8 +55,7 @@ def test_the_wall_has_no_memory_and_reads_position_and_velocity_alone() -> None:
 # The virtual coupling
 
 DT = 1e-3
-METHODS = {"explicit": (0.0, 0.0), "semi-implicit": (0.0, 1.0), "trapezoid": (0.5, 0.5), "backward": (1.0, 1.0)}
-WEIGHTS = [*METHODS.values(), (1.0, 0.0), (0.3, 0.7)]
+WEIGHTS = [(0.0, 0.0), (0.0, 1.0), (0.5, 0.5), (1.0, 1.0), (1.0, 0.0), (0.3, 0.7)]
 SOFT = VirtualCoupling(K=300.0, B=0.5, mass=0.1, damping=0.3, k_e=2000.0, d_e=1.5)
 
 
@@ -131,21 +130,6 @@ def test_a_tool_that_starts_behind_the_surface_is_put_before_it() -> None:
     assert law.start(start_at(-0.02, 0.0, 0.0, DT)) == Tool(-0.02, 0.0, 0.0)
 
 
-# Textbook facts on the unit circle.
-ANGLES = np.linspace(1e-3, pi, 50)
-
-
-def test_springs_and_masses_are_active_lossless_or_passive_by_half_a_tick() -> None:
-    for name, spring, mass in (("explicit", -0.5, -2.0), ("semi-implicit", None, -2.0), ("trapezoid", 0.0, 0.0),
-                               ("backward", 0.5, 2.0)):
-        for th in ANGLES[:-1]:  # at pi the trapezoid's mass is infinite
-            z = cmath.exp(1j * th)
-            if spring is not None:
-                E = tool_impedance(weighted(VirtualCoupling(mass=1e-30, k_e=700.0), METHODS[name]), z, DT)
-                assert E.real == pytest.approx(spring * 700.0 * DT, abs=1e-10), name
-            E = tool_impedance(weighted(VirtualCoupling(mass=0.3, k_e=0.0), METHODS[name]), z, DT)
-            assert E.real == pytest.approx(mass * 0.3 / DT * sin(th / 2.0) ** 2, abs=1e-9 * abs(E)), name
-
 
 def linearised(law: VirtualCoupling, z: complex) -> complex:
     """F/V_hat of the law's own map in contact, by differences, which of an affine map are exact."""
@@ -178,22 +162,6 @@ def test_coupling_and_tool_are_in_series_where_the_position_takes_the_new_veloci
         z = cmath.exp(1j * th)
         C, E = coupling_impedance(law, z, DT), tool_impedance(law, z, DT)
         assert rendered_impedance(law, z, DT) == pytest.approx(C * E / (C + E), rel=1e-12)
-
-
-def needed(law: VirtualCoupling) -> float:
-    """The device damping that passivity asks for in contact: max of -Re(Z/z) on the circle."""
-    return max(-(rendered_impedance(law, z, DT) / z).real for z in np.exp(1j * np.linspace(1e-3, pi, 500)))
-
-
-@given(law=laws)
-def test_no_tool_and_no_wall_asks_for_more_device_damping_than_the_tool_held_fast(law: VirtualCoupling) -> None:
-    law = replace(law, theta_x=1.0, theta_f=0.5 + 0.5 * law.theta_f)
-    assert needed(law) <= law.K * DT / 2.0 + law.B + 1e-9
-
-
-def test_held_fast_the_bound_is_reached() -> None:
-    law = VirtualCoupling(K=1000.0, B=0.3, k_e=1e12)
-    assert needed(law) == pytest.approx(0.8, rel=1e-6)
 
 
 def test_what_is_no_number_stays_so_in_the_tool() -> None:
