@@ -139,24 +139,17 @@ def test_any_text_can_be_sent_as_a_reason(text: str) -> None:
 
 
 def test_each_cause_is_named() -> None:
+    """What is not among the vectors: the bounds themselves, and numbers that are not finite at every place."""
     data = encode(LARGEST, 128)
-    assert decode(b"", WIDTH) is Rejection.TRUNCATED
-    assert decode(data[:9], WIDTH) is Rejection.TRUNCATED
-    assert decode(data[:80], WIDTH) is Rejection.TRUNCATED  # shorter than its own length field
-    assert decode(data[:-1], WIDTH) is Rejection.CHECKSUM  # only the padding was cut
-    assert decode(data + b"\0", WIDTH) is Rejection.CHECKSUM
-    assert decode(b"GET / HTTP/1.1\r\n", WIDTH) is Rejection.MAGIC
-    assert decode(bytes(MOST_CONTROL + 1), WIDTH) is Rejection.OVERSIZE
-    assert decode(encode(LARGEST, MOST_DATA + 1), WIDTH) is Rejection.OVERSIZE
-    assert isinstance(decode(encode(LARGEST, MOST_DATA), WIDTH), Packet)
-    assert isinstance(decode(encode(HELLO, MOST_CONTROL), WIDTH), Packet)
-    assert decode(encode(HELLO, MOST_CONTROL + 1), WIDTH) is Rejection.OVERSIZE
-    other = bytearray(encode(LARGEST))
-    other[2] = VERSION + 1
-    assert decode(bytes(other), WIDTH) is Rejection.VERSION, "whatever follows it"
-    assert decode(framed(b"a different format", kind=77, version=VERSION + 1), WIDTH) is Rejection.VERSION
-    assert isinstance(decode(framed(GOOD, padding=b"\0\0\0"), WIDTH), Packet)
-    assert decode(framed(GOOD, padding=b"\0x\0"), WIDTH) is Rejection.MALFORMED
+    for bad, cause in (
+            (data[:-1], Rejection.CHECKSUM), (data + b"\0", Rejection.CHECKSUM),  # only the padding was cut
+            (bytes(MOST_CONTROL + 1), Rejection.OVERSIZE), (encode(LARGEST, MOST_DATA + 1), Rejection.OVERSIZE),
+            (encode(HELLO, MOST_CONTROL + 1), Rejection.OVERSIZE),
+            (framed(b"a different format", kind=77, version=VERSION + 1), Rejection.VERSION),
+            (framed(GOOD, padding=b"\0x\0"), Rejection.MALFORMED)):
+        assert decode(bad, WIDTH) is cause, bad
+    for good in (encode(LARGEST, MOST_DATA), encode(HELLO, MOST_CONTROL), framed(GOOD, padding=b"\0\0\0")):
+        assert isinstance(decode(good, WIDTH), Packet)
     for value in (nan, inf, -inf):
         for place in range(WIDTH):
             payload = [0.0] * WIDTH
@@ -168,23 +161,20 @@ def test_each_cause_is_named() -> None:
 
 
 FIELDS: dict[str, list[object]] = {
-    "payload": [[0.0] * 4, [0.0] * 6, [], None, 0.0, [0.0, 0.0, 0.0, 0.0, 0], [True, 0.0, 0.0, 0.0, 0.0],
-                [0.0, 0.0, 0.0, 0.0, None], [[0.0] * WIDTH], "01234", {"x": 0.0}, b"01234", [nan] * 4],
-    "session": [-1, 1.0, True, None, "1"], "seq": [-1, 2**32, False, 2.0, None], "sent_ns": [2**63, True, 3.0, None],
-    "echo": [[], [4], [4, 5, 6], [4, -1], [2**63, 5], [4, 2**63], [4.0, 5], [4, True], 4, {"4": 5}],
-    "E_in": [1, True, "0.5", [0.5], msgpack.Timestamp(1), msgpack.ExtType(1, b"")], "extra": [1]}
+    "payload": [[], None, 0.0, [0.0, 0.0, 0.0, 0.0, None], [[0.0] * WIDTH], "01234", {"x": 0.0}, b"01234", [nan] * 4],
+    "session": [1.0, True, None, "1"], "seq": [-1, False, 2.0, None], "sent_ns": [True, 3.0, None],
+    "echo": [[], [4, 5, 6], [2**63, 5], [4, 2**63], [4, True], 4, {"4": 5}],
+    "E_in": [True, "0.5", [0.5], msgpack.Timestamp(1), msgpack.ExtType(1, b"")], "extra": [1]}
 PAYLOADS: dict[int, list[object]] = {
-    Kind.HELLO: [{"k": 1}, {1: "k"}, {"k": "\x1b"}, {"\n": "k"}], Kind.WELCOME: ["k", ["k"], None, {"k": {}}],
-    Kind.REFUSE: [1, b"no", "\x1b[2J"], Kind.BYE: ["two\nlines", "x" * (MOST_SENTENCE + 1), None],
-    Kind.START: ["now", 1.0, 2**63, True], Kind.RENEW: [5], 8: ["x"], 255: [[0.0] * WIDTH], Kind.FORTH: ["x"],
-    Kind.BACK: ["x", {}, [0.0] * (WIDTH + 1)]}
+    Kind.HELLO: [{1: "k"}, {"k": "\x1b"}, {"\n": "k"}], Kind.WELCOME: ["k", None, {"k": {}}], Kind.REFUSE: [1],
+    Kind.BYE: ["two\nlines", None], Kind.START: ["now", 2**63, True], Kind.RENEW: [5], 255: [[0.0] * WIDTH],
+    Kind.FORTH: ["x"], Kind.BACK: ["x", {}, [0.0] * (WIDTH + 1)]}
 BODIES = [b"", b"\xc1", b"\x91" * 1000, b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\xdb\xff\xff\xff\xff",
-          b"\x96\x01\x02\x03\xc0\xa1\xff\xc0", GOOD + b"\xc0", GOOD[:-1], msgpack.packb({"seq": 1}),
           msgpack.packb("abcdef"), msgpack.packb(6)]
 
 
 def test_what_is_of_the_wrong_type_shape_or_range_is_malformed() -> None:
-    """Fields, payloads that do not go with their kind, and bodies that are not one array of six."""
+    """Beside the vectors: fields, payloads that do not go with their kind, and bodies that are not one array of six."""
     bad = [(forged(**{name: value}), f"{name}={value}") for name, values in FIELDS.items() for value in values]
     bad += [(forged(kind, payload=value), f"{kind}: {value}") for kind, values in PAYLOADS.items() for value in values]
     for data, name in [*bad, *[(framed(body), repr(body)) for body in BODIES]]:
