@@ -246,27 +246,6 @@ def test_a_bad_datagram_is_counted_by_its_cause_and_changes_no_bit_of_the_run() 
         assert both.ends[e].received == undisturbed.ends[e].received
 
 
-@pytest.mark.parametrize(("playout", "ago"), [(Zero(), 1), (Zero(), 200), (Hold(), 30), (Fixed(0.005), 30)])
-def test_replayed_packets_change_nothing(ago: int, playout: Any) -> None:
-    """Everything that was sent is sent once more, `ago` ticks later and straight to the end."""
-    quiet = replace(ORDINARY, link=parse_link("delay(0.001)"), playout=playout)
-    plain = Both(quiet).run()
-
-    def replay(k: int, both: Both) -> list[tuple[str, bytes]]:
-        return [(e, both.sent[other][k - ago]) for e, other in ("ms", "sm") if k >= ago]
-
-    again = Both(quiet, intruder=replay).run()
-    assert again.rows == plain.rows
-    assert again.sent == plain.sent
-    for e in "ms":
-        one, other = plain.ends[e], again.ends[e]
-        there, here = other.link.way, one.link.way
-        assert (there.count, there.least, there.most) == (here.count, here.least, here.most)
-        assert other.link.rtt.most == one.link.rtt.most
-        inbox: Any = other.inbox
-        assert (inbox.received, inbox.duplicates) == (quiet.ticks - 1, quiet.ticks - ago)
-
-
 # Messages that are no numbers, or other ones
 
 

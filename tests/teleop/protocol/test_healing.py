@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop import PFRA, Cap, Device, Direct, Encoder, Fixed, Integral, Watchdog, Wave, Zero
+from teleop import PFRA, Cap, Device, Direct, Encoder, Fixed, Integral, Wave, Zero
 from teleop.protocol.guard import DEADLINE, LAPSING, Event
 from teleop.protocol.packet import Echo, Kind, Packet, encode
 from teleop.simulation.structure import columns
@@ -233,19 +233,6 @@ def test_an_end_that_stood_still_until_its_device_let_go_takes_hold_along_the_ra
         assert (after[0].safe, after[0].gain, after[0].force) == (True, 0.0, 0.0)
         assert max(b.gain - a.gain for a, b in pairwise(after)) == pytest.approx(0.1)
         assert after[-1].gain == 1.0
-
-
-@pytest.mark.parametrize("timeout", [0.1, 3.0])
-def test_a_new_session_lets_go_no_faster_than_the_slew_limit(timeout: float) -> None:
-    """A session is over no earlier than its watchdog has let go, and nothing jumps when the law begins anew."""
-    dog = Watchdog(timeout=timeout, ramp=0.1, settle=0.1)
-    world = running(healing(LAWS["direct"], watchdog=dog, cap=Cap(f_max=20.0, slew=2.0)))
-    for _ in range(2):
-        world.start("m")
-        world.run(2.0 + timeout)
-    assert world.end("s").session.met == 3
-    assert [before.gain for before, now in pairwise(world.done["s"]) if now.met != before.met] == [0.0] * 2
-    check(world)
 
 
 def test_loss_is_counted_of_what_was_sent_in_a_session_and_not_of_the_time_between_them() -> None:

@@ -297,6 +297,11 @@ def test_each_fault_of_iec_61784_3_meets_its_measure(name: str) -> None:
     honest = honest_run(fault.playout)
     assert (both.rows != honest.rows) is fault.changes
     for e in "ms":
+        if not fault.changes:
+            assert both.sent[e] == honest.sent[e], "not even in what the packets' echoes say"
+            one, other = both.ends[e].link, honest.ends[e].link
+            assert (one.way.count, one.way.least, one.way.most) == (other.way.count, other.way.least, other.way.most)
+            assert one.rtt.most == other.rtt.most
         assert fault.count(both.ends[e]) == fault.counted
         assert all(isfinite(force) for force, in both.held[e])
         numbers = [number for number in both.played[e] if number >= 0]
