@@ -10,12 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from channel import Bernoulli, Delay, Duplicate, UniformJitter
-from master.hand import Grip, Sine
-from slave.wall import Wall
-from teleop import At, Fixed, Hold, MassDamper, Playout, Scene, Wave, Zero, run
+from teleop import At, Wave
 from teleop.laws.wave import Back, Forth, WaveSlave
-from teleop.scene.parts import LinkLike
 
 
 def spread(low: float, high: float) -> st.SearchStrategy[float]:
@@ -163,55 +159,3 @@ def test_the_channel_transforms_an_impedance_like_a_transmission_line(law: Wave,
         assert impedance(law, frequency, 50, seconds=12) == pytest.approx(want, rel=1e-9), frequency
     published = [abs(z_in(0.8, 0.0, 0.05, frequency)) for frequency in (1.0, 4.0)]
     assert published == pytest.approx([0.25994, 2.46215], abs=5e-6)
-
-
-# The energy of the link: what delay, loss, jitter, copies and the filling of gaps make of it
-
-
-NO_REPEATS = Zero()
-
-
-def scene(law: Wave, link: LinkLike | None, playout: Playout = NO_REPEATS, **other: float) -> Scene:
-    """A hand that swings a master, and a slave that strikes a wall."""
-    knobs = {"m_m": 0.1, "m_s": 0.5, "k_h": 200.0, "k_e": 5000.0, "wall": 0.01, "rate": 2.0, "duration": 0.8} | other
-    return Scene(
-        law=law, link=link, playout=playout, energy=True, duration=knobs["duration"], observer=None,
-        master=MassDamper(mass=knobs["m_m"], damping=0.2), slave=MassDamper(mass=knobs["m_s"], damping=0.1),
-        hand=Grip(mass=0.1, k=knobs["k_h"], d=1.0, reference=Sine(amplitude=0.05, frequency=knobs["rate"])),
-        environment=Wall(k=knobs["k_e"], d=1.0, at=knobs["wall"]),
-    )
-
-
-def lowest(scene: Scene, seed: int = 0) -> float:
-    """The smallest E_link of a run, J, rounding of what went through taken off."""
-    trace = run(scene, seed=seed).trace
-    through = float(trace["E_in_fwd"].max() + trace["E_in_bwd"].max())
-    return float(trace["E_link"].min()) + 1e-13 * through
-
-
-bodies = {
-    "b": spread(1e-3, 1e3), "m_m": spread(0.01, 5.0), "m_s": spread(0.05, 5.0), "k_h": spread(1.0, 2000.0),
-    "k_e": st.one_of(st.just(0.0), spread(10.0, 1e6)), "wall": st.floats(-0.03, 0.03), "rate": spread(0.3, 20.0),
-}
-
-
-@given(delay=st.floats(0.0, 0.5), is_constant=st.booleans(), loss=st.floats(0.0, 0.9), jitter=st.floats(0.0, 0.05),
-       copies=st.floats(0.0, 1.0), seed=st.integers(0, 2**64 - 1),
-       gaps=st.sampled_from([Zero(), Fixed(0.03), Fixed(0.15)]), **bodies)
-@settings(max_examples=30)
-def test_the_link_never_gives_more_than_it_got_with_any_loss_jitter_and_copies_if_the_gaps_are_zero(
-    delay: float, is_constant: bool, loss: float, jitter: float, copies: float, seed: int, gaps: Playout, b: float,
-    **other: float
-) -> None:
-    rough = Delay(delay) | UniformJitter(jitter) | Bernoulli(loss) | Duplicate(copies, after=0.003)
-    assert lowest(scene(Wave(b=b), Delay(delay) if is_constant else rough, gaps, **other), seed) >= -1e-9
-
-
-def test_holding_the_last_wave_makes_energy_in_the_whole_scene() -> None:
-    link = Delay(0.01) | UniformJitter(0.02)
-    held = run(scene(Wave(b=2.0), link, Hold(), duration=4.0), seed=1)
-    assert held.metrics["E_link_min"] < -1e-3
-    assert any("E_link may fall below zero" in note for note in held.notes)
-    zero = run(scene(Wave(b=2.0), link, Zero(), duration=4.0), seed=1)
-    assert zero.metrics["E_link_min"] >= 0.0
-    assert not any("E_link" in note for note in zero.notes)

@@ -148,18 +148,6 @@ def test_the_queue_is_told_of_the_ticks_that_played_a_message() -> None:
     assert metrics(SCENE, silent)["queue_fwd_max"] == 7e-3
 
 
-@pytest.mark.parametrize("knobs", [{"link": "delay(0.05)|bernoulli(0.1)"}, *[
-    pytest.param(each, marks=pytest.mark.full) for each in (
-        {"left_out": 0.1}, {"link": "delay(0.05)|gilbert_elliott(0.01,0.1)"})]], ids=str)
-def test_delay_and_queue_are_what_a_wave_takes_as_the_steady_force_tells(knobs: dict[str, Any]) -> None:
-    """f = push/(1/k_h + 1/K + 1/k_e + (T1 + T2 + L1 + L2)/(2 b)), by `teleop.stages.wave_integral`."""
-    got = run(load_scene("hard_wall", playout="integral", **knobs)).metrics
-    told = sum(got[name] for way in ("fwd", "bwd") for name in (f"T_{way}_mean", f"queue_{way}_end"))
-    felt = 2.0 * 20.0 * (0.03 / got["f_m_end"] - 1.0 / 200.0 - 1.0 / 1000.0 - 1.0 / 2e4)
-    assert told - got["T_fwd_mean"] - got["T_bwd_mean"] > 4e-3
-    assert told == pytest.approx(felt, abs=1e-3)
-
-
 def test_ages_and_freshness_of_the_messages_that_were_played() -> None:
     """Every second tick plays the packet of 4 ticks ago, and once one of 10 ticks ago."""
     seq = np.where(np.arange(N) % 2 == 0, np.arange(N) - 4, -1)

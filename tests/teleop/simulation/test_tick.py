@@ -165,21 +165,6 @@ def test_a_law_that_reads_no_force_needs_neither_sensor_nor_observer() -> None:
 # Axes
 
 
-def test_three_axes_are_three_runs_of_one_axis_for_a_law_that_does_not_couple_them() -> None:
-    whole = make(Direct(K=300.0, B=6.0, kf=0.3), axes=3, link=JITTERY, watchdog=Watchdog(timeout=0.01, ramp=0.01),
-                 cap=Cap(f_max=2.0, slew=300.0))
-    together = run(whole, seed=5).trace
-    for axis in range(3):
-        alone = run(replace(
-            whole, axes=1, environment=whole.environments[axis], start_m=PLACES[axis], start_s=PLACES[axis],
-            hand=Grip(mass=0.2, k=100.0, d=3.0, reference=Sine(amplitude=AMPLITUDE[axis], frequency=2.0)),
-        ), seed=5).trace
-        assert set(alone) == set(together)
-        for name, column in alone.items():
-            whole_column = together[name]
-            assert np.array_equal(column, whole_column[:, axis] if whole_column.ndim == 2 else whole_column), name
-
-
 def test_sums_go_over_the_axes_from_left_to_right() -> None:
     """Not with `sum`, which compensates from Python 3.12 on: the bits would depend on the version."""
     sums = [" + ".join([f"sums_m{axis}.{field}" for axis in range(3)]) for field in ("eh", "hh", "ee", "vv")]

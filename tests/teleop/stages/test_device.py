@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from math import cos, exp, expm1, floor, inf, isnan, nan, pi, sin
 from pathlib import Path
 from typing import Any
@@ -113,15 +112,6 @@ class TestADevice:
         assert all((plain[name] == with_device[name]).all() for name in plain)
         assert rendered(scene()) == rendered(scene(device_m=Device()))
 
-    def test_in_three_axes_is_three(self) -> None:
-        device = Device(encoder=Encoder(step=STEP), velocity=BackwardDifference(), delay=2, every=3)
-        one = run(scene(device_m=device)).trace
-        moved = replace(scene(device_m=device).hand, reference=Sine(amplitude=(0.0, 0.02, 0.02), frequency=2.0))
-        tissue = Tissue(k=100.0, d=2.0)
-        three = run(scene(device_m=device, hand=moved, axes=3, environment=(None, tissue, tissue))).trace
-        for name in ("q_m", "v_hat_m", "f_m"):
-            assert (three[name][:, 1] == one[name]).all()
-            assert (three[name][:, 2] == one[name]).all()
 
 def test_beyond_what_can_be_counted_a_reading_is_the_same_wherever_it_is_worked_out() -> None:
     """Compiled code counts to 2^63; from 2^53 on every float is a whole number anyway."""

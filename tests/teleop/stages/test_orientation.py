@@ -145,13 +145,6 @@ def test_over_a_rough_link_a_law_keeps_its_ledger_on_rotations_as_on_translation
         assert book.min() > -1e-4
 
 
-def test_the_work_of_a_port_is_torque_times_the_motion_of_its_axes() -> None:
-    trace = run(tumbling()).trace
-    for e in "ms":
-        work = np.sum(trace[f"f_{e}"][:-1] * np.diff(trace[f"x_{e}"], axis=0), axis=1)
-        assert trace[f"E_port_{e}"][-1] == pytest.approx(work.sum(), rel=1e-9)
-
-
 def test_two_rotations_are_counted_each_by_itself() -> None:
     """The same tumble twice: six axes, and the second as the first."""
     class Twice:

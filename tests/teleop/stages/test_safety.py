@@ -385,13 +385,6 @@ def test_extreme_limits_hold_and_leave_everything_finite(dt: float, v_max: float
         assert over(work, power, dt) <= 2.0 * power + work.max() + 1e-12
 
 
-def test_limits_that_are_never_reached_change_nothing() -> None:
-    free, capped, limited = (run(replace(load_scene("canonical", duration=1.0), cap=one)).trace
-                             for one in (None, Cap(f_max=1e6), Cap(f_max=1e6, v_max=1e3, power=1e6)))
-    assert set(limited) - set(free) == {"E_left_m", "E_left_s"}
-    assert all(np.array_equal(free[name], capped[name]) and np.array_equal(free[name], limited[name]) for name in free)
-
-
 def overflowing(self: Any, s: Any, at: At, rx: Forth) -> Any:
     """A slave's force that is infinity less infinity from 0.02 m on."""
     huge = 1e308 * max(rx.x - 0.02, 0.0) * 1e10
