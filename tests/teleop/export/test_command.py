@@ -119,8 +119,7 @@ def test_if_one_of_two_files_finds_no_room_or_is_interrupted_neither_is_there(ty
     assert left(here) == ["here"]
 
 
-def test_a_file_that_comes_meanwhile_is_not_overwritten(typed: Typed, here: Path,
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_came_meanwhile_is_kept(typed: Typed, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def meanwhile(*_: object) -> int:
         (here / "run.csv").write_text("mine")
         return 0
@@ -158,8 +157,7 @@ def places(found: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     return [(one["axis"], one["name"], one["kind"]) for one in found]
 
 
-def test_its_manifest_is_the_one_that_the_ends_compare_also_as_bytes(capsys: pytest.CaptureFixture[str],
-        tmp_path: Path) -> None:
+def test_its_manifest_is_that_of_the_ends_also_as_bytes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "manifest"
     found = said(capsys, "hard_wall", "--set", "k_e=2000", "--write", str(file))
     own = live_manifest(load_scene("hard_wall", **live_knobs("hard_wall", {"k_e": "2000"})))
@@ -180,8 +178,7 @@ def test_its_examples_are_packets_of_the_scene(capsys: pytest.CaptureFixture[str
     assert (hello.kind, hello.payload) == (Kind.HELLO, found["manifest"])
 
 
-def test_waves_have_their_integrals_behind_all_axes_and_coupled_axes_one_total_each_in_its_units(
-        capsys: pytest.CaptureFixture[str]) -> None:
+def test_waves_have_integrals_behind_all_axes_and_coupled_axes_one_total(capsys: pytest.CaptureFixture[str]) -> None:
     found = said(capsys, "recorded_reach", "--set", "law=wave")
     waves = [(axis, "u", "wave") for axis in "xyz"]
     along = [(axis, name, "integral") for axis in "xyz" for name in "UE"]

@@ -78,8 +78,7 @@ def test_numbers_that_are_not_finite_are_read_as_such(tmp_path: Path, stored: St
     assert np.array_equal(pandas.read_csv(BytesIO(text))["f_m"][2:5], odd, equal_nan=True)
 
 
-def test_the_parts_of_a_turned_run_say_which_they_are_and_are_empty_where_they_have_no_such_column(
-        turned_run: Path) -> None:
+def test_the_parts_of_a_turned_run_say_which_they_are_and_are_empty_without_such_a_column(turned_run: Path) -> None:
     table = np.genfromtxt(BytesIO(written(turned_run)), delimiter=",", names=True)
     assert np.array_equal(table["part"], np.repeat([1, 2, 3], [200, 280, 100]))
     assert np.allclose(1e3 * table["t"], [*range(200), *range(220, 500), *range(500, 600)])

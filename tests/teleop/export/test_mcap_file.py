@@ -64,8 +64,7 @@ def types_of(schema: dict[str, Any]) -> list[Any]:
     return [schema.get("type"), *[one for inner in schema.get("properties", {}).values() for one in types_of(inner)]]
 
 
-def test_every_message_fits_the_schema_of_its_topic_whose_fields_have_one_type_for_foxglove_and_their_units(
-        stored: Stored) -> None:
+def test_every_message_fits_its_schema_whose_fields_have_one_type_for_foxglove_and_their_units(stored: Stored) -> None:
     jsonschema = pytest.importorskip("jsonschema", reason="needs the extra `test`")
     for scene in ("canonical", "recorded_reach"):
         messages, schemas = read(written(stored(scene)))

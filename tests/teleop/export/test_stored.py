@@ -82,8 +82,7 @@ def test_a_run_or_a_part_that_goes_on_is_to_be_followed_instead(demo: Path, turn
     assert {"E_in_fwd", "G_m", "x_m"} <= {*names}
 
 
-def test_a_part_of_which_an_end_left_nothing_is_left_out_with_a_sentence_and_all_of_them_are_refused(
-        turned_run: Path) -> None:
+def test_a_part_without_an_end_is_left_out_with_a_sentence_and_all_of_them_are_refused(turned_run: Path) -> None:
     empty = shutil.copytree(turned_run, turned_run.parent / "empty")
     shutil.rmtree(turned_run / "02" / "slave")
     said: list[str] = []

@@ -79,16 +79,14 @@ def test_a_run_that_is_over_comes_as_a_whole_to_the_bit(demo: Path, receiver: Re
         assert [row["link"][f"queue_{e}"]["x"] for row in rows] == trace[f"queue_{e}"].tolist()
 
 
-def test_one_row_a_datagram_is_an_object_as_older_releases_of_plotjuggler_take_it(demo: Path,
-        receiver: Receiver) -> None:
+def test_one_row_a_datagram_is_an_object_as_older_plotjugglers_take_it(demo: Path, receiver: Receiver) -> None:
     sent = send(GrowingRun(demo / "master"), receiver.at, rows=1)
     got = receiver.close()
     assert (sent.rows, sent.datagrams) == (400, 400)
     assert [round(1e3 * row["timestamp"]) for row in got] == [*range(400)]
 
 
-def test_what_is_not_finite_is_left_out_for_it_would_end_plotjugglers_server(tmp_path: Path,
-        receiver: Receiver) -> None:
+def test_what_is_not_finite_is_left_out_or_it_would_end_plotjuggler(tmp_path: Path, receiver: Receiver) -> None:
     end = LiveEnd(tmp_path / "end", "m", range(3))
     end.writer.add(3, 0, -1, (float("nan"), float("inf"), *[0.5] * 5))
     end.close()

@@ -118,8 +118,7 @@ class TestFolders:
         typed("report", "b").assert_refused("b holds no complete run")
         assert not [*Path().rglob("*.html")]
 
-    def test_of_an_older_version_say_what_they_lack_and_with_all_of_it_are_shown_with_their_version(self,
-            typed: Typed) -> None:
+    def test_of_an_older_version_say_what_they_lack_or_are_shown_with_their_version(self, typed: Typed) -> None:
         summary = json.loads(Path("a/summary.json").read_text())
         Path("a/summary.json").write_text(json.dumps({**summary, "versions": {"bilateral-teleop": "0.0.3"}}))
         typed("report", "a")
@@ -128,8 +127,7 @@ class TestFolders:
         Path("a/summary.json").write_text(json.dumps(summary))
         typed("report", "a").assert_refused("summary.json has no notes")
 
-    def test_of_several_kinds_have_a_section_each_without_matplotlib_too_but_what_is_asked_for(
-            self, typed: Typed) -> None:
+    def test_of_several_kinds_have_a_section_each_without_matplotlib_but_what_is_asked_for(self, typed: Typed) -> None:
         assert typed("report", "a", "sweep", "b").code == 0
         shown = Page(Path("report.html").read_bytes())
         assert [tag for tag, _ in shown.elements].count("section") == 2
@@ -230,8 +228,7 @@ def test_of_a_comparison_has_its_table_and_a_map_of_how_cases_ended_and_nothing_
         typed("report", "runs/small").assert_refused("another version", "teleop compare")
 
 
-def test_of_a_sweep_of_joints_has_its_metric_in_rad_and_over_axes_in_m_too_no_unit_and_a_bound_in_both(
-        typed: Typed) -> None:
+def test_of_a_sweep_of_joints_has_its_metric_in_rad_and_over_m_and_rad_none_and_a_bound_in_both(typed: Typed) -> None:
     short = ("--set", "duration=0.02", "--engine", "plain", "--out")
     typed("sweep", "leader_follower", "--grid", "k_e=5,10", *short, "s")
     typed("report", "s")
@@ -246,8 +243,7 @@ def test_of_a_sweep_of_joints_has_its_metric_in_rad_and_over_axes_in_m_too_no_un
 
 class TestAStudy:
     @pytest.mark.full
-    def test_of_precision_has_its_methods_and_error_over_run_time(
-            self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_of_precision_has_its_methods_over_run_time(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.importorskip("mpmath")
         for name, few in (("TOLERANCES", (1e-6,)), ("SUBSTEPS", (1, 4))):
             monkeypatch.setattr(f"teleop.analysis.precision.measure.{name}", few)
@@ -313,8 +309,7 @@ class TestAStudy:
         assert {"advised: wave", "pp", "infeasible: limit cycle", "tracking error"} <= {*texts(figure)}
         assert str(figure.findtext(f"{SVG}desc")).endswith("wave: 0.300; pp: limit cycle.")
 
-    def test_of_numbers_that_are_none_has_no_figure_and_says_so_and_one_that_is_none_is_refused(
-            self, typed: Typed) -> None:
+    def test_of_numbers_that_are_none_has_no_figure_and_one_that_is_none_is_refused(self, typed: Typed) -> None:
         Path("t").mkdir()
         Path("t/summary.json").write_text(json.dumps({
             "status": "done", "sentence": "<script>", "mode": "tune", "front": [{"figures": 3}], "best": {}}))

@@ -82,8 +82,7 @@ class TestTheCommand:
         lines = typed("reproduce", "colgate_schenkel").out.splitlines()
         assert lines[-1] == "5 numbers of a paper's formula at numbers chosen here: 5 reproduced"
 
-    def test_counted_fitted_numbers_as_reproduced_and_did_not_say_that_a_tolerance_was_chosen_here(
-            self, typed: Typed) -> None:
+    def test_counted_fitted_numbers_as_reproduced_and_hid_that_a_tolerance_was_chosen_here(self, typed: Typed) -> None:
         """It says why a number differs and why one was not run, too."""
         lines = typed("reproduce", "hannaford_ryu").out.splitlines()
         assert lines[-1] == (

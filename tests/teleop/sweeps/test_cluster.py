@@ -151,8 +151,7 @@ class TestTheRows:
         assert rig.client.status == "running"  # the client is still its owner's
         until(lambda: rig.tasks() <= before)  # what came back is not kept, though the client is open
 
-    def test_of_a_scene_of_ones_own_are_by_its_path(self, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-                                                    ) -> None:
+    def test_of_ones_own_scene_are_by_its_path(self, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (tmp_path / "own.py").write_text(OWN)
         monkeypatch.chdir(tmp_path)
         far = sweep("own.py", {"k_e": [100.0, 200.0, -1.0]}, executor=rig.client.get_executor())
@@ -177,8 +176,7 @@ class TestTheRows:
         until(lambda: rig.tasks() <= before)
         assert sorted(lines(tmp_path / "s")) == list(range(120))
 
-    def test_that_only_a_worker_refuses_are_not_written(self, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-                                                        ) -> None:
+    def test_a_worker_refuses_are_not_written(self, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """A file that lies here and not there is no property of the row."""
         (tmp_path / "trace").write_text("".join(f"{ms}\n" for ms in range(1, 400)))
         monkeypatch.chdir(tmp_path)
@@ -292,8 +290,7 @@ class TestAWorker:
             found |= {digest_of(str(tmp_path / "mine.py")), digest_of(str(tmp_path / "mine.py"))}
         assert len(found) == 2
 
-    def test_that_cannot_import_a_figure_says_so(self, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-                                                 ) -> None:
+    def test_that_lacks_a_figure_says_so(self, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (tmp_path / "figures_of_mine.py").write_text("def count(result):\n    return result.ticks\n")
         monkeypatch.syspath_prepend(str(tmp_path))
         count = import_module("figures_of_mine").count

@@ -88,9 +88,7 @@ class TestWhatIsTold:
         assert "          2 rows: k_e must be at least 0 N/m, not -2" in answer.out
         assert "refused   2 rows: k_e" in typed("report", str(FOLDER)).out
 
-    def test_while_it_runs_begins_at_once_with_what_is_there(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_while_it_runs_begins_with_what_is_there(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         shown: list[tuple[int, int]] = []
         monkeypatch.setattr("teleop.terminal.progress.RowsProgress.show",
                             lambda _, done, of, __: shown.append((done, of)))
@@ -215,9 +213,7 @@ class TestReport:
         for metric, name in (("x_err_rms", "sweep.png"), ("f_m_max", "sweep-2.png"), ("x_err_rms", "sweep.png")):
             assert f"\nplot: {FOLDER / name}\n" in swept("report", str(FOLDER), "--metric", metric).out
 
-    def test_without_matplotlib_draws_nothing_unless_it_is_asked_to(
-        self, swept: Typed, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_without_matplotlib_draws_nothing_unless_asked(self, swept: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(teleop.terminal.plotting, "find_spec", lambda _: None)
         assert "plot" not in swept("report", str(FOLDER)).out
         swept("report", str(FOLDER), "--picture", "curves").assert_refused("pip install")

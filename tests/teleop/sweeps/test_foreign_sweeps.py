@@ -136,9 +136,7 @@ def test_a_summary_of_wrong_types_is_left_out(tmp_path: Path) -> None:
     assert main(["report", str(folder)]) == 0
 
 
-def test_orders_to_a_terminal_in_any_text_of_a_sweep_are_not_obeyed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_orders_to_a_terminal_in_any_text_are_not_obeyed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nasty = "\x1b[2J\nstatus  8 done: 8 ok\r\x9b31m$\\frac$\u202e"
     axes = [{"knobs": [nasty], "values": [1, 2]}]
     rows = [{"row": i, "seed": 0, nasty: [1.0, "a", nasty][i], "status": nasty if i else "ok", "ticks": 1,
@@ -180,9 +178,7 @@ def test_a_table_of_very_many_knobs_is_refused_a_picture_before_it_is_looked_for
 
 
 @pytest.mark.full
-def test_a_map_of_more_cells_than_a_picture_has_room_for_takes_no_gigabytes(
-    tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+def test_a_map_of_more_cells_than_a_picture_has_is_no_gigabyte(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     import_module("matplotlib.backends.backend_agg")  # before all is counted that is allocated
     peak = request.getfixturevalue("peak")
     axes = [{"knobs": [knob], "values": {"count": 1000}} for knob in ("delay", "k_e")]

@@ -82,9 +82,7 @@ class TestARow:
         single = run(load_scene("hard_wall", **knobs)).metrics
         assert (row["queue_fwd_end"], row["queue_bwd_max"]) == (single["queue_fwd_end"], single["queue_bwd_max"])
 
-    def test_that_cannot_be_is_refused_by_itself_and_one_whose_bodies_cannot_be_made_stopped_the_whole_sweep(
-        self
-    ) -> None:
+    def test_that_cannot_be_is_refused_by_itself_and_one_whose_bodies_cannot_be_made_stopped_the_sweep(self) -> None:
         """Friction and electrical damping are known one by one only, which the bodies say, not the scene."""
         for scene, axes, fixed, words in (
                 ("soft_tissue", {"k_e": [100.0, -1.0]}, FIXED, "k_e"),
@@ -252,8 +250,7 @@ class TestAWrongRequest:
             with pytest.raises(Refused, match=words):
                 plan_sweep("soft_tissue", axes, **other)  # type: ignore[arg-type]  # of other kinds
 
-    def test_without_a_compiler_an_engine_that_needs_it_says_what_to_install(self, monkeypatch: pytest.MonkeyPatch
-                                                                             ) -> None:
+    def test_without_a_compiler_an_engine_says_what_to_install(self, monkeypatch: pytest.MonkeyPatch) -> None:
         grid = {"delay": [0.1 * i for i in range(100)]}
         for compiler, engine in (("/usr/bin/cc", "c"), (None, "plain")):
             monkeypatch.setattr("teleop.emit.compiler.find_compiler", lambda compiler=compiler: compiler)
@@ -264,9 +261,7 @@ class TestAWrongRequest:
                 plan_sweep("soft_tissue", engine=engine)
 
 
-def test_workers_are_as_many_as_this_process_may_use_cores_or_the_whole_number_that_was_asked_for(
-    tmp_path: Path
-) -> None:
+def test_workers_are_as_many_as_this_process_may_use_cores_or_the_number_that_was_asked_for(tmp_path: Path) -> None:
     for asked, workers in (({}, cores()), ({"workers": 3}, 3)):
         plan = plan_sweep("soft_tissue", {"k_e": [50.0, 100.0]}, fixed=FIXED)
         assert plan.workers == 0
@@ -320,9 +315,7 @@ def scene(*, k_e: float = 100.0):
 
 
 @pytest.mark.live
-def test_a_process_that_was_interrupted_stayed_until_its_threads_were_done(
-    process: Any, ended: Any, tmp_path: Path
-) -> None:
+def test_an_interrupted_process_stayed_until_its_threads_were_done(process: Any, ended: Any, tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
     running = process("-m", "teleop", "sweep", "slow.py", "--grid", "k_e=1,2,3", "--workers", "1", "--engine", "plain")
     began = time.monotonic()

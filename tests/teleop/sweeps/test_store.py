@@ -181,9 +181,7 @@ class TestAfterAKill:
         numbers = [json.loads(line)["row"] for line in (folder / "rows.jsonl").read_bytes().splitlines()]
         assert sorted(numbers) == list(range(12000))
 
-    def test_a_definition_is_written_whole_before_the_folder_is_there(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_definition_is_whole_before_its_folder_is(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def interrupted(*_: object) -> None:
             raise KeyboardInterrupt
 
@@ -228,9 +226,7 @@ class TestAnInterruptOrAFullDisk:
             store.append([row(1)])
             assert list(store.rows()) == [row(0), row(1)]
 
-    def test_after_the_write_takes_back_the_marks_with_the_lines(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_after_the_write_takes_back_marks_and_lines(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         add = RowNumbers._add
 
         def interrupted(done: RowNumbers, number: int) -> None:
@@ -438,9 +434,7 @@ for turn in sys.stdin:  # all start at the same line
 class TestDone:
     @given(st.sets(st.one_of(st.integers(0, 70), st.integers(0, 5000))), st.lists(st.integers(0, 200), max_size=4),
            st.integers(0, 200))
-    def test_is_the_set_of_the_numbers_and_knows_what_is_missing(
-        self, some: set[int], runs: list[int], stop: int
-    ) -> None:
+    def test_is_the_set_of_numbers_and_knows_what_is_missing(self, some: set[int], runs: list[int], stop: int) -> None:
         numbers = some.union(*(range(begin, begin + 30) for begin in runs))  # whole bytes of ones too
         done = RowNumbers()
         for number in [*numbers, *numbers]:

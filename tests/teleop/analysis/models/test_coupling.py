@@ -47,8 +47,7 @@ part = st.floats(0.0, 0.95)
 class TestBound:
     @settings(max_examples=30)
     @given(K=K, B=B, share=part, th=st.floats(0.01, pi), d=st.integers(0, 3))
-    def test_no_environment_on_the_circle_asks_for_more(
-            self, K: float, B: float, share: float, th: float, d: int) -> None:
+    def test_no_environment_on_it_asks_for_more(self, K: float, B: float, share: float, th: float, d: int) -> None:
         """Brute force over the reactances of the environment that lacks just alpha."""
         C = complex(spring_damper(K, B, T)(np.exp(1j * th)))
         alpha = share * (K * T / 2 + B)

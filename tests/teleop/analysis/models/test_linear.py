@@ -318,9 +318,7 @@ class TestTheRootsOfALongDelay:
             assert least_singular(linear, mode.z) < 1e-8
 
     @some([103], 55, 72)
-    def test_are_those_of_greatest_magnitude_among_the_eigenvalues(
-        self, seed: int, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_are_the_greatest_among_the_eigenvalues(self, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(teleop.analysis.models.roots, "MOST_STATES", 0)
         linear = scaled(random_loop(seed)._replace(forth=50, back=72), 0.5)
         own = roots_of(linear)

@@ -170,9 +170,7 @@ class TestInTime:
     @pytest.mark.parametrize(("K", "steps", "duration"), [
         (1450.0, 5.4, 1.5), *(pytest.param(*numbers, marks=pytest.mark.full) for numbers in (
             (1550.0, 12.5, 1.5), (1600.0, 14.6, 1.5), (1450.0, 5.4, 5.0), (1550.0, 12.5, 5.0), (1600.0, 14.6, 5.0)))])
-    def test_a_decay_onto_a_limit_cycle_is_no_rest_however_short_the_run(
-        self, K: float, steps: float, duration: float
-    ) -> None:
+    def test_a_decay_to_a_limit_cycle_is_no_rest_in_a_short_run(self, K: float, steps: float, duration: float) -> None:
         """After 1.5 s these still fall, and were called stable."""
         got = swing(encoder_wall(K=K, duration=duration))
         assert (got.verdict, got.rests) == ("limit cycle", False)
@@ -242,9 +240,7 @@ class TestRest:
             assert got.amplitude == pytest.approx(sizes[-1], rel=0.1)
             assert got.verdict == ("stable" if sizes[-1] < QUIET else "limit cycle")
 
-    def test_what_ticks_that_are_left_out_move_for_ever_is_no_limit_cycle(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_what_skipped_ticks_move_for_ever_is_no_limit_cycle(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """A run over a lossy link was ok, and `stability --time` called the same 0.02 mm a limit cycle."""
         moved = load_scene("soft_tissue", left_out=0.1, duration=2.0)
         for size, verdict in ((2e-4, "stable"), (2e-3, "limit cycle")):

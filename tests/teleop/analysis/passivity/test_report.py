@@ -96,9 +96,7 @@ def test_every_answer_is_json_and_a_short_table() -> None:
 
 
 @pytest.mark.parametrize("scene", ["soft_tissue", pytest.param("canonical", marks=pytest.mark.full)])
-def test_no_dashed_curve_is_hidden_under_a_solid_one_of_its_colour(
-    scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_dashed_curve_is_hidden_by_a_solid_one(scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
     from teleop.analysis.passivity import command
 
@@ -205,9 +203,7 @@ class TestAShunt:
     @pytest.mark.parametrize(("K", "B", "delay", "cutoff"), [
         (400.0, 1.5, 0, 10.0), (900.0, 0.4, 1, 40.0), (1200.0, 0.7, 0, 150.0),
     ])
-    def test_adds_what_the_integral_over_all_that_a_sample_mixes_gives(
-        self, K: float, B: float, delay: int, cutoff: float
-    ) -> None:
+    def test_adds_the_integral_of_all_that_a_sample_mixes(self, K: float, B: float, delay: int, cutoff: float) -> None:
         """Colgate and Schenkel's condition summed by hand, the damping measured on the stage's own exact steps."""
         scene = load_scene("virtual_wall", b_e=2.0, cutoff=cutoff, delay=delay, **{"law.K": K, "law.B": B})
         device = relaxing_master(scene.master, 0.0, 0.0, 0.0, T, b_e=scene.electrical.b, cutoff=cutoff)

@@ -110,8 +110,7 @@ class TestWaves:
     @settings(max_examples=15)
     @given(b=st.floats(0.1, 20.0), K=st.floats(10.0, 5e3), T=st.floats(0.001, 0.5),
            ratio=st.floats(0.0, 0.9) | st.floats(1.1, 5.0))
-    def test_in_continuous_time_they_are_passive_at_every_delay(
-            self, b: float, K: float, T: float, ratio: float) -> None:
+    def test_without_a_clock_they_are_passive_at_every_delay(self, b: float, K: float, T: float, ratio: float) -> None:
         law = Wave(b=b, K=K, B=ratio * b)
         got = continuous_two_port(handles(law, T), np.geomspace(0.05, 300.0, 200))
         h = got.h
@@ -141,8 +140,7 @@ class TestCriteria:
 
     @settings(max_examples=50)
     @given(port=matrices, resistance=st.floats(0.0, 50.0), reactance=st.floats(-50.0, 50.0))
-    def test_what_is_felt_of_any_passive_environment_is_passive(
-            self, port: TwoPort, resistance: float, reactance: float) -> None:
+    def test_what_is_felt_of_a_passive_one_is_passive(self, port: TwoPort, resistance: float, reactance: float) -> None:
         if port.absolutely_stable[0]:
             assert port.perceived_impedance(np.array([complex(resistance, reactance)]))[0].real >= -1e-6
 

@@ -292,9 +292,7 @@ class TestVirtualTime:
 
 
 class TestTheCommand:
-    def test_says_verdict_mode_and_margins_and_with_json_is_one_object(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_says_verdict_mode_and_margins_in_json_too(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         answer = typed("stability", "soft_tissue", "--set", "law=direct", "--continuous")
         assert (answer.code, answer.err) == (0, "")
         for words in ("unstable: 2 roots outside", "grows", "50 + 50 = 100 ticks", "29 ticks", "dB", "28.788 ms"):
@@ -310,9 +308,7 @@ class TestTheCommand:
             assert json.loads(typed("stability", "soft_tissue", *settings, "--json").out)["verdict"] == verdict
 
     @pytest.mark.full
-    def test_finds_a_knob_of_the_law_takes_another_link_and_has_its_unit(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_finds_a_laws_knob_over_any_link_in_its_unit(self, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(report, "PLACES", 5)
         arguments = ["stability", "soft_tissue", "--set", "law=direct", "--link", "delay(0.02) ; delay(0.03)",
                      "--critical"]
@@ -388,9 +384,7 @@ class TestTheCommand:
 
     @pytest.mark.full
     @pytest.mark.parametrize("duration", ["1.5", "10"])
-    def test_behind_an_encoder_names_the_lowest_that_hums_however_long_the_runs(
-        self, typed: Typed, duration: str
-    ) -> None:
+    def test_behind_an_encoder_names_the_lowest_that_hums_in_any_runs(self, typed: Typed, duration: str) -> None:
         answer = typed("stability", "encoder_wall", "--time", "--critical", "K", "--range", "100:5000", "--set",
                        f"duration={duration}")
         assert "K = 1201 N/m is the lowest of 26 values tried that does not come to rest, to 2 steps of the encoder; " \

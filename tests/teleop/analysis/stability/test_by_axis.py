@@ -168,9 +168,7 @@ def test_a_knob_has_margins_that_end_where_the_growth_begins() -> None:
 
 
 class TestTheCommand:
-    def test_draws_roots_open_loop_and_the_knob(
-        self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_draws_roots_loop_and_the_knob(self, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(report, "PLACES", 4)
         answer = typed("stability", "virtual_wall", "--critical", "law.K", "--range", "3000:5000", "--tol", "1",
                        "--plot", "--out", "here")

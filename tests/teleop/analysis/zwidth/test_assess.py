@@ -305,9 +305,7 @@ class TestCommand:
             typed("zwidth", "virtual_wall", "--out", "here", "--plot")
         assert not list(Path().iterdir())
 
-    def test_a_signal_while_the_numbers_are_written_waits(
-        self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None
-    ) -> None:
+    def test_a_signal_waits_for_the_numbers(self, typed: Typed, monkeypatch: pytest.MonkeyPatch, ctrl_c: None) -> None:
         def slow(path: Path, document: object) -> None:
             for _ in range(3):
                 signal.raise_signal(signal.SIGINT)

@@ -285,9 +285,7 @@ def test_a_law_that_takes_longer_was_told_by_the_time_between_two_trials(sitting
 
 
 @pytest.mark.parametrize("late", [2, LATE_TURNS])
-def test_a_turn_that_takes_longer_is_done_again_and_flagged_and_a_robot_that_is_never_ready_started_anew(
-    sitting: Sitter, late: int
-) -> None:
+def test_a_turn_that_takes_longer_is_flagged_and_a_robot_never_ready_started_anew(sitting: Sitter, late: int) -> None:
     slow = iter([2.0] * late)
     at = sitting(takes=lambda _: next(slow, 0.1))
     at.carry_on(stop_after=2)
@@ -419,9 +417,7 @@ def test_a_lost_focus_and_the_refresh_of_the_screen_are_kept(sitting: Sitter) ->
 
 
 @pytest.mark.parametrize("device", [None, "haply:/dev/ttyACM0"])
-def test_a_press_by_a_device_names_it_and_only_one_by_a_pointer_shows_how_far_to_pull(
-    sitting: Sitter, device: str | None
-) -> None:
+def test_a_press_by_a_device_names_it_by_a_pointer_shows_how_far_to_pull(sitting: Sitter, device: str | None) -> None:
     at = sitting('kind = "press"\nforces = [2.0]\nseconds = 1.0', primary="peak_force", device=device)
     at.carry_on(stop_after=1)
     assert (at.trials[0]["modality"], at.trials[0]["device"]) == (

@@ -242,8 +242,7 @@ def test_a_ping_log_and_a_wall_are_answered_once_and_the_same_command_again_runs
     assert answer(folder) == first
 
 
-def test_a_delivery_trace_and_a_law_of_ones_own_are_taken_as_well(
-        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_delivery_trace_and_ones_own_law_are_taken_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trace = tmp_path / "up.txt"
     trace.write_text("".join(f"{ms}\n" for ms in range(20, 4000, 20)))  # 15 packets every 20 ms
     law = Path(__file__).resolve().parents[4] / "scenarios/examples/law.py"

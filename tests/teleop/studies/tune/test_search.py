@@ -58,8 +58,7 @@ def test_the_best_is_the_least_that_was_tried_within_the_budget_and_nothing_beat
                        for _, each in found.tried if not each.broken)
 
 
-def test_the_same_search_gives_the_same_bits_with_any_number_of_threads_and_another_seed_tries_other_points(
-        found: Tuned) -> None:
+def test_the_same_search_gives_the_same_bits_with_any_threads_and_another_seed_tries_other_points(found: Tuned) -> None:
     assert tuned(workers=2) == found
     second = tuned(seed=1, budget=6)
     assert second.tried[0][0] == found.tried[0][0] == {"law.b": 20.0, "law.K": 1000.0, "law.B": 20.0}  # the scene's
@@ -73,8 +72,7 @@ def test_the_settings_that_are_printed_run_the_row_that_was_judged(found: Tuned)
         name: row[name] for name in ("x_err_rms", "f_m_end", "f_env_end", "E_link_min")}
 
 
-def test_a_search_that_is_given_its_points_runs_none_and_ends_with_the_same(
-        found: Tuned, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_that_is_given_its_points_runs_none_of_them(found: Tuned, monkeypatch: pytest.MonkeyPatch) -> None:
     assert sum(each.stop - each.first for each in KEPT) * 2 == found.rows
     monkeypatch.setattr(teleop.studies.tune.search, "carry_out", None)
     assert tuned(known=KEPT) == found
@@ -178,8 +176,7 @@ def test_each_term_is_relative_to_the_rod_and_objectives_look_at_their_own(scene
         assert judged(scene, *rows, objective=objective).value == pytest.approx(value), objective
 
 
-def test_the_rod_itself_is_worth_nothing_and_a_law_that_does_nothing_one_whatever_error_holds_it_off(
-        scene: Scene) -> None:
+def test_the_rod_itself_is_worth_nothing_and_a_law_that_does_nothing_one_whatever_its_error(scene: Scene) -> None:
     rod = {**GOOD, "x_err_rms": 0.0, "f_env_end": 5.0, "f_m_end": 5.0}
     assert judged(scene, (SCENE, rod), (FREE, {**LIGHT, "x_err_rms": 0.0, "f_m_max": 0.0})).value == 0.0
     idle = {**GOOD, "x_err_rms": 0.02, "f_env_end": 0.0, "f_m_end": 0.0}
@@ -289,8 +286,7 @@ TUNE = ["tune", "wave", "--scene", "hard_wall", "--set", "k_e=2000", "--set", "d
          "--workers", "1"]
 
 
-def test_it_leaves_its_points_its_front_and_the_command_that_runs_the_best(
-        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_leaves_points_front_and_the_command_of_the_best(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*TUNE, "--out", str(tmp_path / "t"), "--plot"]) == 0
     page = capsys.readouterr().out
     document = json.loads((tmp_path / "t/summary.json").read_text())

@@ -171,9 +171,7 @@ class TestASweep:
         for process in started:
             process.communicate()
 
-    def test_loads_no_library_of_a_cache_that_others_may_write_to_and_says_so_once(
-        self, swept: Callable[..., str], place: Path
-    ) -> None:
+    def test_loads_no_library_of_a_cache_that_others_may_write_to(self, swept: Callable[..., str], place: Path) -> None:
         assert swept("own") == ""
         library, = (place / "cache").rglob("*.so")
         payload(place / "loaded", library)

@@ -106,9 +106,7 @@ def test_every_status_has_a_colour_of_its_own_for_colour_blind_readers_too(cones
 
 
 class TestAStabilityMap:
-    def test_colours_each_cell_by_its_status_and_draws_the_boundary_where_that_changes_and_nowhere_else(
-        self, drawn: Any
-    ) -> None:
+    def test_colours_cells_by_their_status_and_draws_the_boundary_where_that_changes_alone(self, drawn: Any) -> None:
         """White is what was not run yet; the legend says what a status is held to."""
         table = rows({"delay": DELAYS, "k_e": STIFFNESSES}, below(15.0))
         figure = drawn(table, words={"diverged": "diverged: beyond 0.3 m"})
@@ -316,9 +314,7 @@ class TestCurves:
     @pytest.mark.parametrize(("sign", "zero", "scale"), [
         (1.0, 0.0, "log"), (-1.0, 0.0, "symlog"), (1.0, 1.0, "symlog"),
     ])
-    def test_of_a_run_that_grows_leave_the_others_apart(
-        self, drawn: Any, sign: float, zero: float, scale: str
-    ) -> None:
+    def test_of_a_run_that_grows_leave_the_others_apart(self, drawn: Any, sign: float, zero: float, scale: str) -> None:
         def of(_: int, law: str, delay: float) -> float:
             return sign * (1e9 if law == "a" and delay > 0.25 else (1.0 + (law == "a")) * (1.0 + delay - zero))
 

@@ -104,9 +104,7 @@ def by_mpmath(scene: Scene) -> Bodies:
 
 
 class TestARun:
-    def test_the_exact_methods_error_is_what_multiple_precision_says_not_what_a_coarser_reference_would_show(
-        self
-    ) -> None:
+    def test_the_exact_methods_error_is_what_multiple_precision_says_not_what_a_coarser_reference_shows(self) -> None:
         """Once the run was put off by a rounding error at every tick, and the difference shown as the method's."""
         scene = strike(environment=Wall(k=1e6, d=5.0, at=1e-3), duration=0.04)
         own = run(scene).trace

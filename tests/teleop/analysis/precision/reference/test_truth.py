@@ -89,9 +89,7 @@ class TestTheReference:
         assert {text for _, text in shown} >= {"the reference by DOP853", "the reference by Radau"}
 
     @pytest.mark.full
-    def test_where_radau_takes_too_long_dop853_is_compared_with_itself_at_a_looser_tolerance(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_where_radau_takes_too_long_dop853_is_compared_with_itself(self, monkeypatch: pytest.MonkeyPatch) -> None:
         scene = strike(environment=HC, duration=0.02)
         long = truth(scene)
         monkeypatch.setattr(truth_module, "_foretold", lambda *_: {"DOP853": 1.0, "Radau": 1e3})
@@ -114,9 +112,7 @@ class TestTheReference:
         assert 0 < steps.integrated < 40
         assert 0.5 * most < steps.x < 2.0 * most
 
-    def test_a_reference_that_takes_far_too_long_is_refused_unless_asked_for(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_reference_that_takes_too_long_is_refused_unless_asked_for(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(truth_module, "_foretold", lambda *_: {"DOP853": 900.0, "Radau": 1e4})
         with pytest.raises(Refused, match=r"would take about 900 s; .* --set duration=5, or write --rounds 1"):
             truth(strike(environment=HC))
@@ -134,9 +130,7 @@ class TestTheReference:
 
 
 class TestTheDefault:
-    def test_it_is_the_first_by_its_own_name_and_its_true_error_is_below_its_bound_and_not_far(
-        self, pressed: Precision
-    ) -> None:
+    def test_it_is_the_first_and_its_true_error_is_below_its_bound_and_not_far(self, pressed: Precision) -> None:
         first, bound, steps = pressed.entries[0], pressed.truth.bound, pressed.truth.steps["DOP853"]
         assert (first.key, first.contender.label) == ("default", "default: SDIRK2 to 1e-09 m a tick")
         own, want = run(pressed.scene).trace, pressed.result.trace
@@ -184,9 +178,7 @@ class TestTheDefault:
 
 
 class TestTheContenders:
-    def test_all_but_radau_iia_take_part_and_finer_is_more_accurate_by_the_order_where_the_force_is_smooth(
-        self, pressed: Precision
-    ) -> None:
+    def test_all_but_radau_iia_take_part_and_finer_is_more_accurate_by_the_order(self, pressed: Precision) -> None:
         keys = [each.key for each in pressed.entries]
         names = [m.name for m in METHODS if m.name != "radau"]
         assert set(keys) == {"default", "DOP853/1e-06", "LSODA/1e-06", "Radau/1e-06"} | {
