@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import sys
 from argparse import Namespace
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from teleop.simulation.trace import BLOCK
 from teleop.terminal.options import formats
 from teleop.terminal.plotting import asked_formats, new_figure, save
 from teleop.terminal.run_plot import GREATEST, binned, draw, extremes
+from tests.fakes import raising
 from tests.teleop.scene.unlike import unlike
 
 figures = pytest.importorskip("matplotlib.figure")
@@ -315,24 +318,13 @@ class TestNames:
 
 def test_a_full_disk_leaves_the_old_figure_and_no_new_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "plot.png").write_bytes(b"the old one")
-
-    class Full:
-        def write(self, _: bytes) -> None:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
     whole = teleop.terminal.plotting.replacing
 
+    @contextmanager
     def replacing(path: Path) -> Any:
-        class Half:
-            def __enter__(self) -> Any:
-                self.inner = whole(path)
-                self.inner.__enter__().write(b"half")
-                return Full()
-
-            def __exit__(self, *error: Any) -> Any:
-                return self.inner.__exit__(*error)
-
-        return Half()
+        with whole(path) as file:
+            file.write(b"half")
+            yield SimpleNamespace(write=raising(OSError(errno.ENOSPC, "No space left on device")))
 
     monkeypatch.setattr(teleop.terminal.plotting, "replacing", replacing)
     with pytest.raises(Refused, match="No space left"):
