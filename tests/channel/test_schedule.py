@@ -23,7 +23,7 @@ from channel import (
     UniformJitter,
 )
 from channel.rng import BLOCK, KEY, Rng, inside, unit
-from channel.schedule import Stream, TwoWay, Verdicts, arrivals, verdicts
+from channel.schedule import Stream, TwoWay, Verdicts, arrivals, by_number, by_time, verdicts
 from teleop.errors import Refused
 
 MS = 1_000_000
@@ -95,6 +95,12 @@ def test_jitter_before_a_narrow_queue_in_which_packets_that_are_never_sent_take_
     assert 0 < len(all_sent.packet) < 1000  # the queue was full
     assert (np.diff(all_sent.packet) < 0).any()
     assert len(drawn.packet) > some[all_sent.packet].sum()  # there was more room for those that were sent
+
+
+def test_rows_that_are_sorted_already_are_returned_as_they_came() -> None:
+    run = np.arange(5), np.arange(5)
+    for rows in (by_time, by_number):
+        assert all(got is given for got, given in zip(rows(*run), run, strict=True))
 
 
 def test_a_draw_depends_on_seed_direction_and_place_and_on_nothing_else() -> None:
