@@ -83,8 +83,16 @@ def test_the_round_trip_had_one_unit_in_ticks_and_in_seconds_and_a_joint_that_of
 
 def test_ctrl_c_raises_nothing_and_is_noted_however_often_and_is_as_it_was_afterwards() -> None:
     """Also after an error; where it is ignored it stays so."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
+        with interrupts_wait() as interrupt:
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+            signal.raise_signal(signal.SIGINT)
+        assert not interrupt.is_pending
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        with pytest.raises(ZeroDivisionError), interrupts_wait():
+            raise ZeroDivisionError
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         with interrupts_wait() as interrupt:
             assert not interrupt.is_pending
             for _ in range(3):
@@ -92,14 +100,6 @@ def test_ctrl_c_raises_nothing_and_is_noted_however_often_and_is_as_it_was_after
             assert interrupt.is_pending
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-        with pytest.raises(ZeroDivisionError), interrupts_wait():
-            raise ZeroDivisionError
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        with interrupts_wait() as interrupt:
-            signal.raise_signal(signal.SIGINT)
-            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-        assert not interrupt.is_pending
     finally:
         signal.signal(signal.SIGINT, before)
 
