@@ -95,7 +95,9 @@ def test_two_network_namespaces_did_not_exclude_each_other(process: Start) -> No
         one.gone()
 
 
-def test_the_file_is_in_a_folder_of_the_users_own_and_of_the_devices_name(runtime: Path) -> None:
+def test_the_file_is_in_a_folder_of_the_users_own_and_of_the_devices_name_and_a_link_there_is_not_followed(
+    runtime: Path, tmp_path: Path
+) -> None:
     held = take_lock("arm:/dev/../x y", 4711)
     assert held is not None
     (path,) = (runtime / "bilateral-teleop").iterdir()
@@ -103,6 +105,11 @@ def test_the_file_is_in_a_folder_of_the_users_own_and_of_the_devices_name(runtim
     assert path.read_text() == "4711\n"
     assert (path.stat().st_mode & 0o777, path.parent.stat().st_mode & 0o777) == (0o600, 0o700)
     os.close(held)
+    path.unlink()
+    path.symlink_to(tmp_path / "victim")
+    with pytest.raises(Refused, match="cannot be opened"):
+        take_lock("arm:/dev/../x y", 4711)
+    assert not (tmp_path / "victim").exists()
 
 
 @pytest.mark.parametrize("make", [
@@ -116,21 +123,8 @@ def test_a_name_that_another_may_have_taken_first_is_refused(make: Callable[[Pat
         take_lock("arm", 1)
 
 
-def test_a_link_in_the_place_of_the_file_is_not_followed(runtime: Path, tmp_path: Path) -> None:
-    held = take_lock("arm", 1)
-    assert held is not None
-    os.close(held)
-    (path,) = (runtime / "bilateral-teleop").iterdir()
-    path.unlink()
-    path.symlink_to(tmp_path / "victim")
-    with pytest.raises(Refused, match="cannot be opened"):
-        take_lock("arm", 1)
-    assert not (tmp_path / "victim").exists()
-
-
-@pytest.mark.parametrize("value", [None, "", "relative", "/no/such/folder", "OPEN"])
 def test_without_a_runtime_folder_of_ones_own_it_is_below_the_home_folder(
-    value: str | None, runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     import pwd
 
@@ -139,9 +133,9 @@ def test_without_a_runtime_folder_of_ones_own_it_is_below_the_home_folder(
 
     monkeypatch.setattr(pwd, "getpwuid", lambda _number: User)
     runtime.chmod(0o777)
-    if value is None:
-        monkeypatch.delenv("XDG_RUNTIME_DIR")
-    else:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime) if value == "OPEN" else value)
-    assert lock_folder() == tmp_path / "home" / ".cache" / "bilateral-teleop"
-    assert lock_folder().stat().st_mode & 0o777 == 0o700
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    for value in (None, "", "relative", "/no/such/folder", str(runtime)):  # the last: open to others
+        if value is not None:
+            monkeypatch.setenv("XDG_RUNTIME_DIR", value)
+        assert lock_folder() == tmp_path / "home" / ".cache" / "bilateral-teleop"
+        assert lock_folder().stat().st_mode & 0o777 == 0o700

@@ -124,8 +124,8 @@ def test_a_law_that_raises_what_is_no_exception_to_catch_holds_no_force(
     ended_of(both.run(), e, device, error, f"the answer of {answer.label}{answer.first_line()}")
 
 
-def test_a_record_that_raises_ends_the_run_without_force(pair: Make) -> None:
-    error = PanicError()
+def test_a_record_or_a_live_line_that_raises_ends_the_run_without_force(pair: Make) -> None:
+    error: BaseException = PanicError()
 
     class Rows(bytearray):
         def __iadd__(self, other: Any) -> Any:
@@ -138,9 +138,6 @@ def test_a_record_that_raises_ends_the_run_without_force(pair: Make) -> None:
     assert (own.outcome.fault, own.outcome.status, both.shells["s"].outcome.status) == (error, "stopped", "stopped")
     assert "the record raised PanicError" in own.outcome.sentence
     assert device.held[-1] == (0.0,)
-
-
-def test_a_live_line_that_raises_ends_the_run_without_force(pair: Make) -> None:
     error = SystemExit(3)
     device = Probe("m", lambda: None)
     both = pair(SCENE, parts={"m": {"device": device, "say": lambda _numbers: raising(error)()}, "s": {}}).run()

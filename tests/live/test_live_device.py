@@ -1,10 +1,14 @@
-"""Live ends whose devices are not the scene's own: one that fails, one that senses, one with switches, MuJoCo's."""
+"""Live ends with devices that are not the scene's own: that sense, have switches, carry a weight, fail or hang."""
 
 from __future__ import annotations
 
 import json
+import os
 import signal
-from collections.abc import Callable
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from math import cos, nan, sin
@@ -18,6 +22,8 @@ from master.device import SimulatedMaster
 from scenarios.examples.device import Carriage
 from teleop import PFRA, DeviceError, Direct, Reading, load_result, load_scene
 from teleop.__main__ import main
+from teleop.bench.watchdog import FORCE, Motor
+from teleop.bench.watchdog import SCENE as CLAMPED
 from teleop.live.in_process import run_stepped
 from teleop.live.records.end_result import NAMES
 from teleop.live.records.merge import merge, scene_of
@@ -28,6 +34,7 @@ from teleop.live.summary import UNWATCHED
 from teleop.scene.library import ROOT
 from tests.fakes import Body, always, reading, standing
 from tests.live.conftest import Command, summary
+from tests.waiting import until
 
 pytestmark = pytest.mark.live
 
@@ -313,3 +320,179 @@ def test_in_a_silence_the_arm_stays_where_it_is_and_after_a_stop_its_weight_is_l
     way = trace["x_s"][settled]
     assert abs(way - way[0]).max() < 0.05  # it falls by more than that in 0.1 s
     assert way[0][1] > 0.97
+
+
+SLOW, OUT, STUCK = 2, 3, 4  # orders to the stand-in: 50 ms in read, unplugged, and in read for ever
+STAND_IN = f"""
+import time
+from pathlib import Path
+
+from teleop import DeviceError, Reading
+from teleop.bench.watchdog import Motor
+
+
+class Arm:
+    def __init__(self, scene, path):
+        self.motor = Motor(Path(path))
+
+    def read(self, k):
+        order = self.motor.order
+        if order == {OUT}:
+            raise DeviceError("the cable is out")
+        time.sleep({{{SLOW}: 0.05, {STUCK}: 1e6}}.get(order, 0.0))
+        return Reading((0.0,), (0.0,), (0.0,))
+
+    def hold(self, force):
+        self.motor.hold(force[0])
+
+    def close(self):
+        raise KeyError("port")
+"""
+
+
+@pytest.fixture
+def site(command: Callable[..., Command], tmp_path: Path) -> Callable[..., tuple[Command, Motor]]:
+    """A slave with the stand-in for its robot, that pushes."""
+    def make(*options: str) -> tuple[Command, Motor]:
+        (tmp_path / "arm.py").write_text(STAND_IN)
+        motor = Motor(tmp_path / "motor")
+        slave = command("slave", *CLAMPED, "--robot", f"arm.py:Arm:{tmp_path / 'motor'}", "--listen", "127.0.0.1:0",
+                        "--json", "--out", str(tmp_path / "s"), *options)
+        command("master", *CLAMPED, "--peer", f"127.0.0.1:{slave.port()}", "--json", "--out", str(tmp_path / "m"))
+        until(lambda: abs(motor.force) > FORCE, "no force came about")
+        return slave, motor
+    return make
+
+
+def test_one_that_is_slow_and_then_unplugged_is_safe_says_so_and_comes_back(
+    site: Callable[..., Any], tmp_path: Path
+) -> None:
+    slave, motor = site()
+    motor.order = SLOW
+    before = motor.holds
+    until(lambda: motor.holds > before + 8, "it does not go on")
+    motor.order = 0
+    until(lambda: abs(motor.force) > FORCE, "no force any more")
+    motor.order = OUT
+    until(lambda: motor.force == 0.0, "the force stays on while nothing is read")
+    motor.order = 0
+    until(lambda: abs(motor.force) > FORCE, "the force did not come back")
+    slave.signal(signal.SIGTERM)
+    code, _, err = slave.end()
+    assert code == 1
+    assert "the run is over and its folder is whole, and the device did not close: KeyError: 'port'" in err
+    assert motor.force == 0.0
+    told = summary(tmp_path / "s")
+    assert told["slave"]["skipped"] > 8 * 30, "of 50 ticks that each reading took"
+    assert any("went by while the device was read, for up to" in note for note in told["notes"])
+    whats = [(event["what"], event["why"]) for event in read_events(tmp_path / "s")]
+    out = next(i for i, (what, why) in enumerate(whats) if what == "safe" and "the cable is out" in why)
+    assert "released" in [what for what, _ in whats[out:]]
+
+
+def test_one_that_hangs_for_ever_is_set_to_zero_by_the_watchdog_that_was_asked_for(site: Callable[..., Any]) -> None:
+    slave, motor = site("--watchdog")
+    motor.order = STUCK
+    until(lambda: motor.force == 0.0, "the watchdog does not let go")
+    slave.signal(signal.SIGINT)  # of two that are the same the system may hand over one
+    slave.signal(signal.SIGTERM)
+    code, _, err = slave.end()
+    assert code != 0
+    assert "no heartbeat of the end that drives the device" in err
+    assert "its force was set to zero" in err
+
+
+def test_without_a_watchdog_the_last_resort_lets_go_of_one_that_hangs_at_the_second_signal(
+    site: Callable[..., Any], tmp_path: Path
+) -> None:
+    def stands_still() -> bool:
+        before = motor.holds
+        time.sleep(0.1)
+        return motor.holds == before
+
+    slave, motor = site()
+    motor.order = STUCK
+    until(stands_still, "it does not hang")
+    slave.signal(signal.SIGINT)  # of two that are the same the system may hand over one
+    slave.signal(signal.SIGTERM)
+    code, _, err = slave.end()
+    assert code == 1
+    assert "the device has neither a deadline nor a watchdog" in err, "said at its start"
+    assert "its device was set to zero force" in err
+    assert motor.force == 0.0
+    why = load_result(tmp_path / "s").sentence
+    assert "asked for a reading, does not return; this is made from its record" in why, "it was \"without a word\""
+
+
+Service = tuple[subprocess.Popen[str], str]
+SERVICE = ROOT / "tests" / "master" / "inverse_stand_in.py"
+
+
+@pytest.fixture
+def service() -> Iterator[Callable[..., Service]]:
+    """`service("vector")`: the process of a stand-in of the Inverse service, and its address."""
+    pytest.importorskip("websockets", reason="the extra `haply` is not installed")
+    started: list[subprocess.Popen[str]] = []
+
+    def start(word: str, port: str = "0") -> Service:
+        process = subprocess.Popen([sys.executable, SERVICE, word, port], cwd=ROOT,
+                                   env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        assert process.stdout is not None
+        return process, process.stdout.readline().strip()
+
+    yield start
+    for one in started:
+        one.kill()
+        one.communicate()
+
+
+def with_inverse3(command: Callable[..., Command], url: str, duration: float) -> tuple[Command, Command]:
+    """A slave, and a master that drives the Inverse3 at `url`."""
+    knobs = "--set", f"duration={duration:g}", "--rate", "250", "--json"
+    slave = command("slave", "hard_wall", *knobs, "--listen", "127.0.0.1:0", "--out", "slave")
+    master = command("master", "hard_wall", *knobs, "--peer", f"127.0.0.1:{slave.port()}", "--out", "master",
+                     "--device", f"haply:{url}?axes=y&origin=0,-0.12,0.15")
+    return slave, master
+
+
+def pushes(service: subprocess.Popen[str], shows: Callable[[float], bool]) -> None:
+    """Read on until the stand-in says of its motors' force (N) what `shows`."""
+    assert service.stdout is not None
+    while not shows(float(service.stdout.readline().split()[1])):
+        pass
+
+
+def test_a_run_with_an_inverse3_by_name(
+    service: Callable[..., Service], command: Callable[..., Command], tmp_path: Path
+) -> None:
+    there, url = service("values")
+    slave, master = with_inverse3(command, url, 1.5)
+    pushes(there, lambda force: force >= 0.1)  # the hand feels the slave
+    for end in (master, slave):
+        code, _, err = end.end()
+        assert code == 0, err
+        assert "holds its last force" not in err  # it has a watchdog
+    pushes(there, lambda force: force == 0.0)
+    result = load_result(tmp_path / "master")
+    assert np.ptp(result.trace["x_m"]) > 0.01  # m: the hand moved, and was read
+    assert summary(tmp_path / "master")["status"] == "ok"
+
+
+def test_a_service_that_is_started_again_in_a_run_is_found_again_and_let_go_of_by_a_master_that_is_killed(
+    service: Callable[..., Service], command: Callable[..., Command], tmp_path: Path
+) -> None:
+    there, url = service("vector")
+    _, master = with_inverse3(command, url, 600.0)
+    pushes(there, lambda force: force >= 0.1)
+    there.kill()
+    there.wait()
+    there, _ = service("vector", url.rpartition(":")[2])
+    pushes(there, lambda force: force >= 0.1)  # by the ramp
+    master.signal(signal.SIGKILL)
+    pushes(there, lambda force: force == 0.0)
+    events = [event for event in read_events(tmp_path / "master") if event["what"] in ("safe", "released")]
+    lost = next(i for i, event in enumerate(events) if event["what"] == "safe" and "Inverse service" in event["why"])
+    # On a busy machine the link may fall silent in between, too.
+    assert "released" in [event["what"] for event in events[:lost]]
+    assert "released" in [event["what"] for event in events[lost:]]

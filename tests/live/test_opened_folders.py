@@ -316,7 +316,7 @@ def test_the_folder_of_a_demo_is_whole_when_neither_end_nor_demo_runs(tmp_path: 
     assert (top / "summary.json").exists()
 
 
-def test_a_summary_that_was_made_too_early_is_made_again_when_the_record_has_grown(tmp_path: Path) -> None:
+def test_what_was_made_of_one_end_or_of_two_too_early_is_made_again_when_the_record_has_grown(tmp_path: Path) -> None:
     """Where a folder cannot be locked, or was copied while it was written, a process cannot be seen to run."""
     recorder = record_of(tmp_path, "m", range(500), events=MET, duration="60.0")
     recorder.flush()
@@ -333,9 +333,6 @@ def test_a_summary_that_was_made_too_early_is_made_again_when_the_record_has_gro
     with (tmp_path / FILE).open("ab") as file:
         file.write(bytes(8))
     assert not needs_recovery(tmp_path)
-
-
-def test_two_ends_put_together_too_early_are_put_together_again(tmp_path: Path) -> None:
     top = tmp_path / "top"
     later = [record_of(top / name, e, range(750), duration="60.0") for e, name in NAMES.items()]
     assert load_result(top).ticks == 750

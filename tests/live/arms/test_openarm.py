@@ -99,19 +99,21 @@ def test_a_motor_that_heard_nothing_lets_go_and_is_switched_on_again_without_a_t
     until(lambda: not trouble(robot), "it was never switched on again")
 
 
-@pytest.mark.parametrize(("state", "words"), [(0xB, "has too hot a driver"), (0xC, "has too hot a coil"),
-                                              (0xE, "is overloaded"), (0xA, "draws too much current")])
 def test_an_error_of_a_motor_is_one_sentence_and_no_torque(
-    state: int, words: str, motors: tuple[Damiao, str], opened: Callable[..., DamiaoArm]
+    motors: tuple[Damiao, str], opened: Callable[..., DamiaoArm]
 ) -> None:
     stand_in, argument = motors
     robot = opened(openarm_robot(joints(), argument))
-    until(lambda: not trouble(robot, (0.2, 0.2)))
-    stand_in.errors[2] = state
-    until(lambda: trouble(robot, (0.2, 0.2)) == f"motor 2 on {argument.partition('?')[0]} {words} (45 degrees Celsius)")
-    with pytest.raises(DeviceError):
-        robot.hold((0.2, 0.2))
-    until(lambda: abs(stand_in.torque[1]) < 0.01)
+    for state, words in ((0xB, "has too hot a driver"), (0xC, "has too hot a coil"), (0xE, "is overloaded"),
+                         (0xA, "draws too much current")):
+        until(lambda: not trouble(robot, (0.2, 0.2)))
+        stand_in.errors[2] = state
+        sentence = f"motor 2 on {argument.partition('?')[0]} {words} (45 degrees Celsius)"
+        until(lambda sentence=sentence: trouble(robot, (0.2, 0.2)) == sentence)
+        with pytest.raises(DeviceError):
+            robot.hold((0.2, 0.2))
+        until(lambda: abs(stand_in.torque[1]) < 0.01)
+        stand_in.errors.clear()
 
 
 def test_a_motor_that_is_silent_or_another_one_is_named(

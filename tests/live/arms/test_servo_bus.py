@@ -192,7 +192,10 @@ def test_what_a_feetech_servo_has_in_its_memory_is_refused_or_kept(opened: Calla
     until(at_its_limit)
 
 
-def test_a_joint_that_passes_the_seam_of_its_encoder_is_a_sentence_and_no_jump(opened: Callable[..., Any]) -> None:
+def test_a_joint_that_passes_the_seam_of_its_encoder_is_a_sentence_and_ticks_after_a_pause_find_a_position_at_once(
+    opened: Callable[..., Any]
+) -> None:
+    """The check of a device leaves out 50 ticks, 0.25 s of a scene of 5 ms, and the first reading after that failed."""
     servos = opened(Feetech((1, 2)))
     servos.set(1, 56, 2, 4090)
     bus = opened(answered(lambda: feetech_bus(joints(), servos.port)))
@@ -201,12 +204,6 @@ def test_a_joint_that_passes_the_seam_of_its_encoder_is_a_sentence_and_no_jump(o
     assert "went over the seam of its encoder, from 4090 to 3 of 4096" in trouble(bus)
     servos.set(1, 56, 2, 4095)
     until(lambda: not trouble(bus))
-
-
-def test_ticks_that_go_on_after_a_pause_find_a_position_at_once(opened: Callable[..., Any]) -> None:
-    """The check of a device leaves out 50 ticks, 0.25 s of a scene of 5 ms, and the first reading after that failed."""
-    servos = opened(Feetech((1, 2)))
-    bus = opened(answered(lambda: feetech_bus(joints(), servos.port)))
 
     def pauses() -> bool:
         with suppress(DeviceError):

@@ -2,7 +2,7 @@
 
 What "without keys" stands in the name of is not withstood: it is what one gets who can read the link and write to it,
 and why a link beyond this machine needs keys. With them nothing that was forged, changed or replayed comes as far as an
-endpoint (tests/teleop/protocol/secure, tests/live/test_sealed.py); to delay and to drop is left. That an end keeps to
+endpoint (tests/teleop/protocol/secure, tests/live/test_ends.py); to delay and to drop is left. That an end keeps to
 the address of its peer is a matter of sockets: tests/live/test_shell.py, tests/live/test_ends.py.
 """
 
