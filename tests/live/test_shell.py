@@ -15,12 +15,12 @@ import pytest
 
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop import Refused, Watchdog, load_scene
+from teleop import Refused, load_scene
 from teleop.live.net.wire import Wire, bind_udp
 from teleop.live.process.interrupt import Interrupt
 from teleop.live.records.merge import merge
 from teleop.live.records.record import EVENTS
-from teleop.protocol.packet import DATA, Kind, peek
+from teleop.protocol.packet import Kind, peek
 from tests.fakes import Body, at_tick, wire_of
 from tests.live.conftest import make_shell
 
@@ -127,23 +127,6 @@ def test_a_stall_skips_whole_ticks_also_at_the_very_end_and_says_how_many(pair: 
     assert f"{slave.counts.skipped} of them skipped" in slave.outcome.sentence
     left_out = f"slave: {slave.counts.skipped} of {SCENE.ticks} ticks"
     assert any(note.startswith(left_out) for note in merge(SCENE, *both.write()).notes)
-
-
-def deaf(data: bytes) -> bool:
-    """True of what an end that was killed after its hundredth message no longer sends."""
-    kind, number = peek(data)
-    return kind is None or (kind in DATA and number > 100) or kind is Kind.BYE
-
-
-def test_when_the_other_falls_silent_the_watchdog_lets_go_and_the_run_ends_by_itself(pair: Make) -> None:
-    watched = replace(SCENE, watchdog=Watchdog(timeout=0.1, ramp=0.02))
-    both = pair(watched, wire=wire_of(deaf)).run()
-    assert both.status() == {"m": "ok", "s": "ok"}
-    result = merge(watched, *both.write())
-    for g, f in (("g_m", "f_m"), ("g_s", "f_s")):
-        assert result.trace[g].max() == 1.0
-        assert result.trace[g][-1] == 0.0
-        assert result.trace[f][-1] == 0.0
 
 
 # Other senders

@@ -1,13 +1,12 @@
 """A server that speaks as `teleop demo --page` does, over a small simulated scene: for states that are hard to reach.
 
-`python tests/live/page/browser/mock.py [AXES]` serves it for one's own eyes. `Mock.heard` has what the page sent.
+`Mock.heard` has what the page sent.
 """
 
 from __future__ import annotations
 
 import json
 import random
-import sys
 import threading
 import time
 from collections import deque
@@ -200,12 +199,3 @@ class Mock:
                     link = {name: self.knobs[name] for name in ("delay", "jitter", "loss")}
                     self.send({"type": "status", **link, "clutch": self.world.clutch, "parts": self.parts,
                                **self.status})
-
-
-if __name__ == "__main__":
-    mock = Mock(int(sys.argv[1]) if len(sys.argv) > 1 else 1, 8800)
-    print(mock.url, flush=True)
-    try:
-        mock.over.wait()
-    except KeyboardInterrupt:
-        mock.stop()
