@@ -212,14 +212,11 @@ def test_a_long_window_is_no_longer_in_c_than_a_short_one() -> None:
     assert printed(30).count("\n") == printed(900).count("\n")
 
 
-def test_a_second_record_of_a_class_had_the_name_of_a_pair_of_the_first() -> None:
+def test_names_in_c_were_taken_twice_by_a_second_record_of_a_class_and_by_a_variable_called_as_a_helper() -> None:
     types = Types("t_")
     first = types.struct("Odd", {"a": DOUBLE}, Odd)
     kinds = [first, types.array(first, 2), types.struct("Odd", {"a": INT}, Odd), types.array(first, 3)]
     assert len({types.c(each) for each in kinds}) == len(kinds)
-
-
-def test_a_variable_that_was_called_as_a_helper_hid_it() -> None:
     assert [c_word(name) for name in ("py_min", "vec_max", "v_max")] == ["py_min_", "vec_max_", "v_max"]
 
 

@@ -44,14 +44,11 @@ def master(law: TDPA, s: TDPAMaster, here: At, rx: tdpa.Back) -> tuple[float, td
     return law.master(s, here, rx, law.master_sums(s, here, rx))
 
 
-def test_one_step_of_the_slave() -> None:
+def test_one_step_of_the_slave_and_of_a_master_that_is_pushed() -> None:
     f_s, back, after = slave(TDPA(), began(0.0, 0.01), at(0.0, 0.1), tdpa.Forth(0.05, 0.2, 1e-4))
     assert (f"{after.v_d:.7f}", f"{f_s:.5f}") == ("0.0279826", "3.57364")
     assert f_s * after.v_d * DT == pytest.approx(1e-4, rel=1e-12)  # all that may be given out
     assert back == tdpa.Back(f_s, 0.0)
-
-
-def test_one_step_of_the_master_that_is_pushed() -> None:
     for G, wanted in ((1e-4, "2.00000"), (-1e-4, "-2.00000")):
         assert f"{master(TDPA(), TDPAMaster(G, 0.0, 0.0), at(v=-0.05), tdpa.Back(4.0, 0.0))[0]:.5f}" == wanted
 
@@ -217,13 +214,16 @@ def set_point(law: PSPM, s: PSPMEnd, here: At, rx: pspm.Back) -> tuple[float, PS
     return f_m, after
 
 
-def test_a_set_point_goes_as_far_as_the_energy_does() -> None:
+def test_a_set_point_goes_as_far_as_the_energy_does_and_without_any_stays_at_its_end() -> None:
     """A worked example: y' at x 0.02, y 0.015, E 1e-3 and the other end at 0.05."""
     law = PSPM()
     s = PSPMEnd(0.015, 1e-3 + 0.5 * law.K * 0.005**2, 0.0, 0.0)
     _, after = set_point(law, s, at(0.02), pspm.Back(0.05, 0.0))
     assert f"{after.y:.7f}" == "0.0253852"
     assert after.y - 0.02 == pytest.approx(sqrt(0.005**2 + 2e-3 / law.K), rel=1e-12)
+    law = PSPM()
+    f_m, after = set_point(law, PSPMEnd(0.1, -1e-3, 0.0, 0.0), at(0.02, v=0.3), pspm.Back(0.5, 0.0))
+    assert (after.y, f_m) == (0.02, pytest.approx(law.B_m * 0.3))
 
 
 @given(x=place, y=place, other=place, T=st.floats(-0.01, 0.1), came=st.floats(0.0, 0.1), w=st.floats(-1e-3, 1e-3))
@@ -238,12 +238,6 @@ def test_the_energy_of_the_spring_is_never_more_than_the_end_keeps(
     taken = after.T + after.S - (T + w)
     room = law.E_max - (T + w - 0.5 * law.K * (x - y) ** 2)
     assert taken == pytest.approx(min(came, max(room, 0.0)), abs=1e-15)  # and of what came only what fits is taken
-
-
-def test_an_end_without_energy_has_its_set_point_at_itself_and_is_only_damped() -> None:
-    law = PSPM()
-    f_m, after = set_point(law, PSPMEnd(0.1, -1e-3, 0.0, 0.0), at(0.02, v=0.3), pspm.Back(0.5, 0.0))
-    assert (after.y, f_m) == (0.02, pytest.approx(law.B_m * 0.3))
 
 
 def test_set_points_of_three_axes_share_one_radius() -> None:
@@ -325,18 +319,18 @@ def test_a_tank_falls_below_zero_by_the_surprise_of_one_tick_at_most(H: float, f
     assert min(s.H, 0.0) - 0.5 * law.k * d * d - 1e-15 <= after.H
 
 
-def test_a_tank_that_is_empty_gives_no_force_and_one_that_nearly_is_a_small_one() -> None:
+def test_a_tank_gives_a_force_by_what_it_has_is_filled_by_the_hand_and_gives_over_ticks_that_were_left_out() -> None:
     law = TwoLayer(H_d=0.0, beta=0.0)
     assert tank(law, 0.0, 10.0, 0.0)[0] == 0.0
     assert tank(law, -1e-3, 10.0, 0.0)[0] == 0.0
     assert tank(law, 1e-9, 10.0, 0.0)[0] == pytest.approx(sqrt(2.0 * 500.0 * 1e-9), rel=1e-12)
-
-
-def test_the_hand_fills_the_masters_tank_and_the_slaves_stays_without_such_a_damper() -> None:
     law = TwoLayer(beta=0.0)
     assert tank(law, 0.03, 0.0, 0.1)[0] == pytest.approx(500.0 * 0.02 * 0.1)
     assert tank(law, -1.0, 0.0, 0.1)[0] == pytest.approx(20.0 * 0.1)  # d_max
     assert tank(law, 0.2, 0.0, 0.1)[0] == 0.0
+    assert pytest.approx(0.99) == tank(TwoLayer(), 1.0, 0.0, 0.0, ticks=1)[1].H
+    assert pytest.approx(0.93) == tank(TwoLayer(), 1.0, 0.0, 0.0, ticks=7)[1].H
+    assert tank(TwoLayer(), 1.0, 0.0, 0.0, ticks=500)[1].H == 0.0
 
 
 def test_what_three_axes_ask_for_is_scaled_by_one_share() -> None:
@@ -346,12 +340,6 @@ def test_what_three_axes_ask_for_is_scaled_by_one_share() -> None:
     got = [law.master(s, rest, two_layer.Back(f, 0.0), over)[0] for f in forces]
     assert np.linalg.norm(got) == pytest.approx(sqrt(2.0 * 500.0 * 0.01))
     assert np.array(got) / got[0] == pytest.approx(np.array(forces) / forces[0])
-
-
-def test_over_ticks_that_were_left_out_a_tank_gives_what_it_would_have_given() -> None:
-    assert pytest.approx(0.99) == tank(TwoLayer(), 1.0, 0.0, 0.0, ticks=1)[1].H
-    assert pytest.approx(0.93) == tank(TwoLayer(), 1.0, 0.0, 0.0, ticks=7)[1].H
-    assert tank(TwoLayer(), 1.0, 0.0, 0.0, ticks=500)[1].H == 0.0
 
 
 def test_a_slave_of_two_layers_that_lets_go_tells_of_the_force_that_it_has() -> None:

@@ -86,11 +86,14 @@ class TestTheEstimate:
 
 
 class TestContact:
-    def test_before_the_first_one_there_is_no_model_and_the_hand_feels_the_damper(self) -> None:
+    def test_before_the_first_one_there_is_no_model_and_then_the_assumed_stiffness(self) -> None:
         _, sent = estimated([(0.001 * i, 0.0) for i in range(50)])
         assert (sent.k, sent.side) == (0.0, 0.0)
         f_m, _, s = LAW.master(ModelMediatedMaster(0.0, 0.0), at(0.05, v=0.3), sent)
         assert (f_m, s) == (LAW.B_m * 0.3, ModelMediatedMaster(0.0, 0.0))
+        _, sent = estimated([(0.031, 0.3)], ModelMediated(k_0=800.0))
+        assert sent.k == pytest.approx(800.0)
+        assert sent.x_0 == pytest.approx(0.031 - 0.3 / 800.0, abs=1e-5)
 
     def test_after_it_the_model_stays_and_the_next_touch_begins_at_its_own_place(self) -> None:
         outside = [(0.02, 0.0)] * 500
@@ -104,21 +107,13 @@ class TestContact:
         _, sent = estimated([*stirred(2000), *[(0.031 + 0.001 * sin(0.05 * i), 0.0) for i in range(3000)]])
         assert sent.k * max(0.032 - sent.x_0, 0.0) < 2.0 * LAW.touch
 
-    def test_assumed_stiffness_is_the_model_of_the_first_touch(self) -> None:
-        _, sent = estimated([(0.031, 0.3)], ModelMediated(k_0=800.0))
-        assert sent.k == pytest.approx(800.0)
-        assert sent.x_0 == pytest.approx(0.031 - 0.3 / 800.0, abs=1e-5)
-
-
 class TestTheMasters:
-    def test_force_is_that_of_the_model_where_the_energy_is_there(self) -> None:
+    def test_force_is_that_of_the_model_as_far_as_spring_and_tank_have_the_energy(self) -> None:
         f_m, _, s = LAW.master(ModelMediatedMaster(1.0, 0.0), at(0.033, v=0.1), Back(2000.0, 0.03, 1.0))
         assert f_m == pytest.approx(2000.0 * 0.003 + LAW.B_m * 0.1)
         assert s.k == 2000.0
         assert s.stored == pytest.approx(0.5 * 2000.0 * 0.003**2 + LAW.E_max)  # what is above the tank's is dropped
-
-    def test_a_stiffer_model_gets_no_more_than_spring_and_tank_have(self) -> None:
-        """k' = min(k, 2 (V + tank)/p^2): 4 mJ at 3 mm is 888.9 N/m."""
+        # k' = min(k, 2 (V + tank)/p^2): 4 mJ at 3 mm is 888.9 N/m.
         f_m, _, s = LAW.master(ModelMediatedMaster(0.004, 100.0), at(0.033), Back(5000.0, 0.03, 1.0))
         assert s.k == pytest.approx(2.0 * 0.004 / 0.003**2)
         assert f_m == pytest.approx(s.k * 0.003)

@@ -26,10 +26,14 @@ def felt(law: VirtualWall, x: float, v: float) -> float:
     return f_m
 
 
-def test_inside_the_wall_is_a_spring_damper() -> None:
+def test_the_wall_is_a_spring_damper_inside_and_does_nothing_to_what_leaves_fast_or_is_on_its_surface() -> None:
     law = VirtualWall(K=800.0, B=2.0, at=0.03)
     assert felt(law, 0.05, 0.25) == 800.0 * (0.05 - 0.03) + 2.0 * 0.25
     assert felt(law, 0.05, -0.25) == 800.0 * (0.05 - 0.03) - 2.0 * 0.25
+    assert felt(VirtualWall(K=500.0, B=3.0), 0.01, -2.0) == 0.0
+    assert felt(VirtualWall(K=500.0, B=3.0, at=0.02), 0.02, 5.0) == 0.0
+    for x, v in ((nan, 0.0), (0.1, nan)):
+        assert isnan(felt(VirtualWall(B=1.0), x, v))
 
 
 @given(x=metres, v=speeds, at=metres)
@@ -39,17 +43,12 @@ def test_it_pushes_out_or_not_at_all_and_only_inside(x: float, v: float, at: flo
     assert f_m == 0.0 or x > at
 
 
-def test_it_does_nothing_to_what_leaves_faster_than_the_spring_pushes_nor_on_its_surface_and_nan_stays_nan() -> None:
-    assert felt(VirtualWall(K=500.0, B=3.0), 0.01, -2.0) == 0.0
-    assert felt(VirtualWall(K=500.0, B=3.0, at=0.02), 0.02, 5.0) == 0.0
-    for x, v in ((nan, 0.0), (0.1, nan)):
-        assert isnan(felt(VirtualWall(B=1.0), x, v))
-
-
-def test_the_wall_has_no_memory_and_reads_position_and_velocity_alone() -> None:
+def test_wall_and_coupling_read_position_and_velocity_alone_and_the_wall_has_no_memory() -> None:
     assert VirtualWall().start(start_at(0.2, 0.0, 0.0, 1e-3)) == ()
     assert reads(VirtualWall().force) == {"x", "v"}
     assert find_law("virtual_wall")() == VirtualWall()
+    assert reads(VirtualCoupling().force) == {"x", "v", "span"}
+    assert find_law("virtual_coupling")() == VirtualCoupling()
 
 
 # The virtual coupling
@@ -168,8 +167,3 @@ def test_what_is_no_number_stays_so_in_the_tool() -> None:
     for x, v in ((nan, 0.0), (0.1, nan)):
         f_m, tool = VirtualCoupling().force(Tool(0.0, 0.0, 0.0), reading(x, v))
         assert all(map(isnan, (f_m, *tool)))
-
-
-def test_the_coupling_reads_position_velocity_and_tick_alone() -> None:
-    assert reads(VirtualCoupling().force) == {"x", "v", "span"}
-    assert find_law("virtual_coupling")() == VirtualCoupling()

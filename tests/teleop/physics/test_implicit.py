@@ -374,14 +374,11 @@ def test_far_from_the_origin_rounding_is_not_taken_for_an_error_of_integration()
 # -- one stage
 
 
-def test_a_stage_that_only_just_reaches_a_damped_wall_ends_at_its_surface() -> None:
+def test_a_stage_ends_at_the_surface_of_a_damped_wall_or_is_free_if_it_is_drawn_out_too_fast() -> None:
     # Outside it would be 10 um deep, inside the damper would hold it back before it gets there.
     u, mode = stage(core(WALL, m=0.2, k=1e3, d=1e3), -1e-4, 1.0, 1.1e-4, 0.0, 0.0)
     assert -1e-4 + 1.1e-4 * u == pytest.approx(0.0, abs=1e-18)
     assert mode == 1
-
-
-def test_a_stage_that_is_drawn_out_faster_than_it_may_be_held_is_free() -> None:
     assert stage(core(HUNT_CROSSLEY, k=1e6, lam=0.5), 1e-2, -5.0, 1e-4, 0.0, 0.0) == (-5.0, 2)
     assert stage(core(WALL, k=1e3, d=10.0), 1e-2, -5.0, 1e-4, 0.0, 0.0) == (-5.0, 2)
 

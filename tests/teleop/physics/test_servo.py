@@ -175,18 +175,15 @@ def worst_of(seed: int, *, share: float = 1.0, periods: int = 8) -> float:
     return least
 
 
-def test_the_masss_damping_pays_for_all_that_a_late_servo_can_give() -> None:
+def test_the_masss_damping_pays_for_all_that_a_late_servo_can_give_and_half_of_it_does_not() -> None:
     assert min(worst_of(seed) for seed in range(30)) > -1e-6
+    assert min(worst_of(seed, share=0.5) for seed in range(30)) < -1.0
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("thousand", range(10))
 def test_the_masss_damping_pays_over_ten_thousand_motions(thousand: int) -> None:
     assert min(worst_of(1000 * thousand + seed, periods=2) for seed in range(1000)) > -1e-6
-
-
-def test_with_half_of_that_damping_a_late_servo_gives_energy() -> None:
-    assert min(worst_of(seed, share=0.5) for seed in range(30)) < -1.0
 
 
 # The offset

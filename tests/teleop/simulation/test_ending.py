@@ -69,13 +69,18 @@ class TestMotionThatGrows:
 
 
 class TestPacketsThatWereNotPlayed:
-    def test_of_a_link_longer_than_the_run_are_told_of(self) -> None:
+    def test_of_a_link_longer_than_the_run_or_that_were_all_lost_or_due_after_the_end_are_told_of(self) -> None:
         got = run(load_scene("hard_wall", delay=80.0, duration=1.0))
         forward, back = warned(got, "played none")
         assert forward.startswith("the slave played none of the 1000 packets that the master sent")
         assert back.startswith("the master played none")
         assert "none came within the 1 s of the run" in forward
         assert "--set delay" in forward
+        note, = warned(run(load_scene("hard_wall", link="bernoulli(1) ; delay(0.01)", duration=0.2)), "played none")
+        assert "the link lost them all" in note
+        notes = warned(run(load_scene("burst_loss", playout="fixed:1.5", duration=1.0)), "played none")
+        assert all("their time to be played was after the end" in note for note in notes)
+        assert len(notes) == 2
 
     def test_of_a_playout_shorter_than_the_delay_say_which_is_long_enough(self) -> None:
         playout, enough, slow = "fixed:0.015:hold", "fixed:0.02:hold", {"link": "delay(0.02)", "duration": 0.5}
@@ -127,16 +132,6 @@ class TestPacketsThatWereNotPlayed:
         assert not warned(run(load_scene("hard_wall", law="pfra", playout=playout, **lossy)), "fades")
         scene = replace(load_scene("hard_wall", playout=playout, **lossy), knobs={})
         assert "in a scene of your own write playout=" in warned(run(scene), "fades")[0]
-
-    def test_that_were_all_lost_are_told_of(self) -> None:
-        note, = warned(run(load_scene("hard_wall", link="bernoulli(1) ; delay(0.01)", duration=0.2)), "played none")
-        assert "the link lost them all" in note
-
-    def test_for_which_the_end_came_too_early_are_told_of(self) -> None:
-        notes = warned(run(load_scene("burst_loss", playout="fixed:1.5", duration=1.0)), "played none")
-        assert all("their time to be played was after the end" in note for note in notes)
-        assert len(notes) == 2
-
 
 @pytest.mark.parametrize(("name", "knobs", "text"), [
     ("hard_wall", {}, "hard_wall"),

@@ -42,15 +42,13 @@ def motion(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TestFreeSpace:
-    def test_a_mass_and_a_damper_with_a_weight_are_found_as_they_are(self) -> None:
+    def test_a_mass_and_a_damper_are_found_as_they_are_and_a_damper_by_the_reading_with_minus_half_a_tick(self) -> None:
         for axes, v, weight in ((1, V[:, 0], 1.0), (3, V, np.array([1.0, -4.0, 2.5]))):
             a, mean = motion(v)
             got = metrics(replace(SCENE, axes=axes), trace(v, held(0.7 * a + 3.0 * mean + weight)))
             assert (got["felt_mass"], got["felt_drag"]) == pytest.approx((0.7, 3.0), rel=1e-9), axes
             assert got["felt_fit"] == pytest.approx(1.0, abs=1e-12), axes
-
-    def test_a_law_that_damps_by_the_reading_has_a_mass_of_minus_half_a_tick(self) -> None:
-        """The hold of a tick: f_m(k) = B v(k) lags half a tick behind the motion that it is held over."""
+        # The hold of a tick: f_m(k) = B v(k) lags half a tick behind the motion that it is held over.
         got = metrics(SCENE, trace(V[:, 0], 3.0 * V[:, 0]))
         assert (got["felt_mass"], got["felt_drag"]) == pytest.approx((-3.0 * DT / 2.0, 3.0), rel=1e-9)
 
@@ -206,16 +204,13 @@ def test_more_ticks_than_are_summed_at_once_have_the_bits_of_a_single_run_in_a_k
     assert {each: row.get(each) for each in asked} == {each: single.get(each) for each in asked}
 
 
-def test_what_is_not_asked_for_has_no_lines() -> None:
+def test_what_is_not_asked_for_has_no_lines_and_the_largest_steps_of_a_long_run_need_its_record() -> None:
     from teleop.sweeps.kernels.kernel import kernel_lines
 
     scene = load_scene("hard_wall")
     assert "_sums" not in kernel_lines(scene, ("x_err_max", "f_m_max")).text()
     assert "v_was_0_sums" in kernel_lines(scene, ("felt_mass",)).text()
     assert "free_aa_sums" not in kernel_lines(scene, ("jerk_rms",)).text()
-
-
-def test_the_largest_steps_of_a_long_run_need_its_record() -> None:
     assert not needs_record(("jerk_999",), load_scene("hard_wall", duration=32.0))
     assert needs_record(("jerk_999",), load_scene("hard_wall", duration=32.1))
     assert not needs_record(("jerk_rms",), load_scene("hard_wall", duration=100.0))

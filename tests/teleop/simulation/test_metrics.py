@@ -223,21 +223,15 @@ PRESSED = Scene(
 PREPARED = prepare(PRESSED)
 
 
-def test_a_trace_has_t_first_and_the_symbols_of_what_the_scene_has() -> None:
+def test_a_trace_has_t_first_never_added_up_then_the_symbols_of_its_scene_in_columns_that_lie_together() -> None:
     assert list(run(PRESSED).trace) == [
         "t", "x_m", "v_m", "f_m", "seq_m", "f_h", "x_s", "v_s", "f_s", "seq_s", "f_env",
     ]
     assert list(run(replace(PRESSED, link=None, law=PFRA())).trace) == [
         "t", "x_m", "v_m", "f_m", "f_h_hat", "f_h", "x_s", "v_s", "f_env", "f_s",
     ]
-
-
-def test_t_is_ticks_times_dt_never_added_up() -> None:
     trace = run(replace(PRESSED, dt=0.0007, duration=0.7)).trace
     assert np.array_equal(trace["t"], np.arange(1000) * 700_000 / 1e9)
-
-
-def test_columns_of_a_trace_lie_together_in_memory() -> None:
     assert all(column.flags.c_contiguous for column in run(replace(PRESSED, axes=3, duration=0.02)).trace.values())
 
 
@@ -290,12 +284,9 @@ def test_two_ends_are_joined_at_the_ticks_that_both_ran() -> None:
     assert trace["seq_s"].tolist() == [-1, -1, 0, 3, 4]
 
 
-def test_ends_that_share_no_tick_leave_empty_columns() -> None:
+def test_one_end_alone_has_its_own_columns_and_ends_that_share_no_tick_leave_empty_ones() -> None:
     records = {"m": EndRecord(range(3), rows(range(3)), [-1] * 3), "s": EndRecord([], [], [])}
     assert all(len(column) == 0 for column in assemble(PREPARED, records).values())
-
-
-def test_one_end_alone_has_its_own_columns() -> None:
     got = end_columns(PREPARED, "s", EndRecord(range(3), rows(range(3)), [-1, 0, 1]))
     assert set(got) == {"x_s", "v_s", "f_s", "seq_s", "f_env"}
     assert got["x_s"].tolist() == [0.0, 1.0, 2.0]
@@ -431,13 +422,10 @@ def test_held_waves_are_counted_as_often_as_they_are_used() -> None:
     assert trace["E_out_bwd"] == pytest.approx(summed(w_m**2), abs=1e-13)
 
 
-def test_a_scene_that_does_not_ask_has_no_ledger() -> None:
+def test_a_scene_that_does_not_ask_has_no_ledger_and_a_law_without_waves_the_ports_alone() -> None:
     asked, silent = run(make(link=LINKS["rough"]), seed=1), run(make(link=LINKS["rough"], energy=False), seed=1)
     assert not [name for name in silent.trace if name.startswith("E_")]
     assert not [name for name in silent.metrics if name.startswith("E_")]
     assert all(np.array_equal(asked.trace[name], silent.trace[name]) for name in silent.trace)
-
-
-def test_a_law_without_waves_has_the_ports_ledger_alone() -> None:
     ledgers = {name for name in run(make(law=Direct(), duration=0.05)).trace if name.startswith("E_")}
     assert ledgers == {"E_port", "E_port_m", "E_port_s"}

@@ -26,15 +26,13 @@ def wan() -> Result:
 
 
 class TestSummary:
-    def test_has_what_makes_the_run_again(self, wan: Result) -> None:
+    def test_has_what_makes_the_run_again_and_a_unit_for_every_figure(self, wan: Result) -> None:
         summary = wan.summary(["teleop", "run"])
         assert summary["command"] == ["teleop", "run"]
         assert (summary["scene"], summary["seed"], summary["dt"], summary["ticks"]) == ("jittery_wan", 3, 1e-3, 300)
         assert summary["parameters"]["law"] == {"name": "wave", "b": 2.0, "K": 500.0, "B": 20.0}
         assert summary["parameters"]["duration"] == 0.3
         assert set(summary["versions"]) == {"bilateral-teleop", "python", "numpy"}
-
-    def test_gives_every_figure_its_unit(self, wan: Result) -> None:
         for name, entry in wan.summary()["metrics"].items():
             assert entry == {"value": wan.metrics[name], "unit": UNITS[name]}
 
@@ -95,12 +93,11 @@ class TestStored:
             np.testing.assert_array_equal(read.trace[name], column)
             assert read.trace[name].dtype == column.dtype
 
-    def test_keeps_what_only_a_live_run_knows(self, wan: Result, tmp_path: Path) -> None:
+    def test_keeps_what_only_a_live_run_knows_beside_an_archive_that_numpy_reads_alone_with_time_first(
+        self, wan: Result, tmp_path: Path
+    ) -> None:
         replace(wan, extra={"master": {"skipped": 3}}).save(tmp_path / "run")
         assert load_result(tmp_path / "run").extra == {"master": {"skipped": 3}}
-
-    def test_is_an_archive_that_numpy_reads_alone_with_time_first(self, wan: Result, tmp_path: Path) -> None:
-        wan.save(tmp_path / "run")
         with np.load(tmp_path / "run" / "trace.npz", allow_pickle=False) as arrays:
             assert arrays.files == list(wan.trace)
             assert arrays.files[0] == "t"
@@ -155,10 +152,8 @@ class TestStored:
 
 
 class TestInPython:
-    def test_prints_in_one_line_that_says_how_it_ended(self, wan: Result) -> None:
+    def test_prints_in_one_line_and_is_a_table_in_a_notebook_that_runs_nothing(self, wan: Result) -> None:
         assert repr(wan) == "Result(jittery_wan, law wave(b=2, K=500, B=20), virtual: ok, 300 ticks of 0.001 s)"
-
-    def test_is_a_table_in_a_notebook_that_runs_nothing(self, wan: Result) -> None:
         page = replace(wan, notes=("<script>",))._repr_html_()
         assert f"<th>x_err_rms</th><td>{wan.metrics['x_err_rms']:.4g} m</td>" in page
         assert "<th>note</th><td>&lt;script&gt;</td>" in page

@@ -84,30 +84,24 @@ def whole(e: End, start: Any) -> Any:
 
 
 class TestWhatItMakes:
-    def test_is_straight_lines_over_variables(self) -> None:
+    def test_is_straight_lines_over_variables_that_give_what_the_function_itself_gives(self) -> None:
         assert text(whole).split("\n") == [
             "    x_m0 = start[0]", "    kept_m0 = x_m0 + x_m0", "    y_m0 = kept_m0",
             "    x_m1 = start[1]", "    kept_m1 = x_m1 + x_m1", "    y_m1 = kept_m1",
             "    total_m = 0.0", "    total_m += x_m0 * 2.0 * 3.0", "    total_m += x_m1 * 2.0 * 3.0",
             "    return (total_m, (y_m0, y_m1))"]
-
-    def test_gives_what_the_function_itself_gives(self) -> None:
         assert called(whole, (0.1, 0.7)) == whole(End(), (0.1, 0.7))
 
-    def test_has_the_branch_that_was_decided_and_not_the_other(self) -> None:
+    def test_has_the_branch_that_was_decided_alone_and_a_condition_of_numbers_with_a_decided_one_together(self) -> None:
         assert "x_m0 * 2.0 * 3.0" in text(whole)
         assert "y_m0 * 2.0 * 3.0" in text(whole, End(Has(encoder=True)))
-
-    def test_leaves_arithmetic_as_it_is(self) -> None:
-        line = "return x + (0.1 + 0.2) + 0.3 * (1.0 - 1.0)"
-        assert line in text(body(line))
-
-    def test_adds_from_left_to_right(self) -> None:
-        assert "return x_m0 + x_m1 + x_m2" in text(added, End(axes=3))
-
-    def test_keeps_what_a_condition_of_numbers_and_a_decided_one_come_to_together(self) -> None:
         assert "if k > 0:" in text(both)
         assert "if" not in text(both, End(Has(pair=False)))
+
+    def test_leaves_arithmetic_as_it_is_and_adds_from_left_to_right(self) -> None:
+        line = "return x + (0.1 + 0.2) + 0.3 * (1.0 - 1.0)"
+        assert line in text(body(line))
+        assert "return x_m0 + x_m1 + x_m2" in text(added, End(axes=3))
 
     def test_names_the_functions_that_a_record_is_made_with(self) -> None:
         made = specialise(asks, End())
@@ -209,16 +203,13 @@ def test_what_is_not_for_the_tick_is_refused_with_its_place(lines: str) -> None:
 
 
 class TestNames:
-    def test_one_name_in_two_functions_is_two_variables(self) -> None:
+    def test_one_name_in_two_functions_is_two_variables_and_two_records_with_one_variable_are_refused(self) -> None:
         made = called(two_names, 2.0)
         assert made == two_names(End(), 2.0) == (14.0, 2.0)
-
-    def test_two_records_with_one_variable_are_refused(self) -> None:
         end = End()
         end.axes[1].suffix = "m0"
         with pytest.raises(NotSpecialised, match="two records have a field x"):
             specialise(whole, end)
-
 
 def two_names(e: End, x: float) -> Any:
     kept = x

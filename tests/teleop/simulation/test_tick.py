@@ -127,8 +127,11 @@ def test_a_text_names_what_its_scene_names_and_nothing_else(named: Scene, left_o
     assert not names & words(left_out)
 
 
-def test_an_energy_scene_without_waves_has_no_ledger_of_the_link() -> None:
+def test_a_scene_without_waves_has_no_ledger_of_the_link_and_one_that_reads_no_force_no_sensor() -> None:
     assert not {name for name in words(make(Direct(), energy=True)) if name.startswith(("E_in", "E_out"))}
+    wave, direct = structure_of(make(Wave())), structure_of(make(Direct()))
+    assert [end.has.sensed or end.has_stage("observer") for end in (wave.m, wave.s)] == [False, False]
+    assert [end.has.sensed or end.has_stage("observer") for end in (direct.m, direct.s)] == [False, True]
 
 
 def every_kind() -> Iterator[Scene]:
@@ -154,12 +157,6 @@ def test_every_structure_records_the_columns_that_it_says() -> None:
                 array, per_axis = trace[column.removesuffix("@")], "@" in column and scene.axes > 1
                 assert array.shape == ((scene.ticks, scene.axes) if per_axis else (scene.ticks,))
                 assert np.isfinite(array).all()
-
-
-def test_a_law_that_reads_no_force_needs_neither_sensor_nor_observer() -> None:
-    wave, direct = structure_of(make(Wave())), structure_of(make(Direct()))
-    assert [end.has.sensed or end.has_stage("observer") for end in (wave.m, wave.s)] == [False, False]
-    assert [end.has.sensed or end.has_stage("observer") for end in (direct.m, direct.s)] == [False, True]
 
 
 # Axes
@@ -198,9 +195,13 @@ def test_an_end_is_told_its_reading_what_was_held_and_how_old_the_news_is(link: 
         assert (at.dt == 1e-3).all()
 
 
-def test_no_link_is_a_delay_of_nothing_for_a_law_that_reads_all_there_is() -> None:
+def test_no_link_is_a_delay_of_nothing_also_for_a_law_that_reads_all_and_where_ticks_are_left_out() -> None:
     none, zero = run(make(Curious(), energy=True)).trace, run(make(Curious(), energy=True, link=Delay(0.0))).trace
     assert all(np.array_equal(none[name], zero[name]) for name in none)
+    # Without a link the newest message of the other end's ticks until then is there.
+    none, zero = [run(replace(pressed(left_out_m=SOME, left_out_s=LeftOut(0.1)), link=each)).trace
+                  for each in (None, parse_link("delay(0)"))]
+    assert all(np.array_equal(none[name], zero[name]) for name in zero)
 
 
 # Live
@@ -246,7 +247,7 @@ def test_the_force_is_held_while_the_bodies_move() -> None:
         assert [k for k in held(trace, f"f_{peer}").tolist() if k > 15] == [], e
 
 
-def test_a_packet_of_a_tick_that_is_left_out_is_never_sent_and_what_comes_at_one_waits() -> None:
+def test_a_packet_of_a_tick_that_is_left_out_is_never_sent_and_what_comes_at_one_waits_or_is_late() -> None:
     result = run(pressed(left_out_m=SOME, left_out_s=LeftOutTicks((40, 41))))
     forth, back = result.trace["seq_s"], result.trace["seq_m"]
     assert not np.isin(forth, SOME.ticks).any()
@@ -259,20 +260,10 @@ def test_a_packet_of_a_tick_that_is_left_out_is_never_sent_and_what_comes_at_one
     assert result.packets["fwd"].overtaken == 2
     assert result.packets["bwd"].sent == result.ticks - 2
     assert sent == result.packets["fwd"].received + result.packets["fwd"].in_flight
-
-
-def test_with_a_fixed_delay_the_packet_of_a_tick_that_is_left_out_is_late() -> None:
     scene = pressed(left_out_s=LeftOutTicks((40, 41)))
     result = run(replace(scene, playout=load_scene("canonical", playout="fixed:0.02").playout))
     assert result.packets["fwd"].late == 2
     assert not np.isin((20, 21), result.trace["seq_s"]).any()
-
-
-def test_no_link_is_a_delay_of_nothing_where_ticks_are_left_out() -> None:
-    """Without a link the newest message of the other end's ticks until then is there."""
-    none, zero = [run(replace(pressed(left_out_m=SOME, left_out_s=LeftOut(0.1)), link=each)).trace
-                  for each in (None, parse_link("delay(0)"))]
-    assert all(np.array_equal(none[name], zero[name]) for name in zero)
 
 
 def test_a_scene_without_ticks_left_out_has_the_bits_and_the_lines_of_before() -> None:

@@ -97,14 +97,11 @@ def test_a_tenth_of_a_share_saves_most_packets_and_costs_a_little_tracking(law: 
     assert some.metrics["x_err_rms"] < 1.6 * every.metrics["x_err_rms"] + 1e-3
 
 
-def test_waves_that_are_not_sent_take_no_energy_out_of_the_link() -> None:
+def test_waves_that_are_not_sent_take_no_energy_out_of_the_link_and_ends_that_leave_out_ticks_send_nothing() -> None:
     made = load_scene("jittery_wan", deadband=0.2, duration=1.0)
     result = run(replace(made, energy=True), seed=2)
     assert result.packets["fwd"].saved > 0
     assert result.metrics["E_link_min"] > -1e-9
-
-
-def test_ends_that_leave_out_ticks_send_nothing_at_them() -> None:
     result = run(load_scene("canonical", law="direct", left_out=0.3, deadband=0.05, duration=0.5), seed=4)
     counts = result.packets["fwd"]
     assert counts.sent + counts.saved < 0.85 * result.ticks

@@ -53,19 +53,16 @@ class TestAnEncoder:
         assert encode(c, inf) == inf
         assert isnan(encode(c, nan))
 
-    def test_is_what_the_law_reads_and_what_a_trace_has_as_q(self) -> None:
+    def test_is_what_the_law_reads_and_the_trace_has_as_q_and_not_what_the_ledger_of_the_port_takes(self) -> None:
         floors, rounds = Device(encoder=Encoder(step=STEP)), Device(encoder=Encoder(step=STEP, phase=0.5))
         trace = run(scene(device_m=floors, device_s=rounds)).trace
         assert trace["q_m"].tolist() == [STEP * floor(x / STEP) for x in trace["x_m"]]
         assert trace["q_s"].tolist() == [STEP * floor(x / STEP + 0.5) for x in trace["x_s"]]
         asked = 200.0 * (trace["q_m"][:-1] - trace["q_s"][1:]) + 5.0 * (trace["v_m"][:-1] - trace["v_s"][1:])
         assert trace["f_s"][1:] == pytest.approx(asked, abs=1e-12)
-
-    def test_does_not_touch_the_ledger_of_what_the_port_really_took(self) -> None:
         got = run(scene(energy=True, device_m=Device(encoder=Encoder(step=1e-3)))).trace
         taken = np.cumsum(got["f_m"][:-1] * np.diff(got["x_m"])) - np.cumsum(got["f_s"][:-1] * np.diff(got["x_s"]))
         assert got["E_port"][1:] == pytest.approx(taken, abs=1e-12)
-
 
 class TestAnEstimator:
     def test_gives_the_law_its_velocity_and_the_trace_v_hat(self) -> None:
@@ -216,12 +213,10 @@ class TestTheController:
         f = damp(PassivityController(cap=1e300).limits(1e-3), E, v)
         assert f * v * 1e-3 == pytest.approx(-E)
 
-    def test_leaves_a_passive_port_and_a_slow_one_alone(self) -> None:
+    def test_leaves_a_passive_port_and_a_slow_one_alone_and_stands_what_is_extreme_or_no_number(self) -> None:
         c = PassivityController(cap=5.0, v_min=0.01).limits(1e-3)
         assert damp(c, 1e-9, 1.0) == damp(c, 0.0, -1.0) == damp(c, -1.0, 0.01) == 0.0
         assert damp(c, -1.0, -0.011) == pytest.approx(-0.055)
-
-    def test_shows_what_is_not_a_number_and_stands_what_is_extreme(self) -> None:
         c = PassivityController(cap=5.0).limits(1e-3)
         assert isnan(damp(c, nan, 1.0))
         assert damp(c, -1e300, 1e-200) == pytest.approx(5e-200)

@@ -149,7 +149,7 @@ def test_one_that_is_never_opened_changes_no_bit_and_the_eigenvalues_are_those_w
 FAR = Operator(clutch=((0.0, 0.1),), closes_within=0.01)
 
 
-def test_it_closes_once_the_slave_has_come_near_enough_and_not_before() -> None:
+def test_it_closes_once_the_slave_has_come_near_enough_and_not_before_or_where_it_is_held_back() -> None:
     """The slave begins 5 cm away, and its law draws it to where the master is told to be."""
     trace = run(scene(FAR, PositionPosition(), start_s=0.05)).trace
     closes = int(np.argmax(trace["g_clutch_m"] > 0.0))
@@ -157,9 +157,6 @@ def test_it_closes_once_the_slave_has_come_near_enough_and_not_before() -> None:
     assert np.abs(trace["apart_m"][100:closes - 1]).min() > 0.01 >= abs(trace["apart_m"][closes - 1])
     assert not trace["f_m"][:closes].any()
     assert np.array_equal(trace["g_clutch_m"][closes:closes + 50], np.arange(1, 51) / 50), "and then it goes on closing"
-
-
-def test_where_the_slave_is_held_back_it_stays_open() -> None:
     held = MassDamper(mass=0.5, damping=1e6)
     assert not run(scene(FAR, PositionPosition(), start_s=0.05, slave=held)).trace["f_m"].any()
     freely = replace(FAR, closes_within=None)
@@ -183,7 +180,7 @@ class Switched(SimulatedMaster):
 
 def driven(of: Scene, master: Any, slave: Any = None, act: Callable[[int, Any], object] = lambda k, ends: None
            ) -> tuple[dict[str, np.ndarray], list[Event]]:
-    """Both records and the master's events, of two ends that are driven by hand, without a link; `act` before a tick."""
+    """Both records and the master's events, of two ends that are driven by hand without a link; `act` comes first."""
     ends, devices = met(of), {"m": master, "s": slave or SimulatedSlave(of)}
     rows: dict[str, list[float]] = {"m": [], "s": []}
     aligns = of.operator is not None and of.operator.align is not None

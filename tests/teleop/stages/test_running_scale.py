@@ -262,16 +262,13 @@ def test_an_alignment_stops_where_it_is_when_the_operator_lets_go() -> None:
     assert np.array_equal(absent["x_s"], trace["x_s"])
 
 
-def test_an_arm_that_cannot_follow_is_waited_for_and_pressed_no_harder_than_half_a_seconds_way() -> None:
+def test_an_arm_that_cannot_follow_is_waited_for_and_a_way_that_is_too_long_is_not_begun() -> None:
     held = MassDamper(mass=0.5, damping=1e6)
     of = apart(Operator(align=SPEEDS), PositionPosition(K=100.0, B=2.0), slave=held)
     trace = run(of).trace
     assert np.abs(trace["f_s"][:, :3]).max() <= 100.0 * (0.5 * 0.05) + 100.0 * 0.05 * 0.03 + 0.2
     assert not trace["f_m"].any()
     assert (trace["g_clutch_m"] == 0.0).all()
-
-
-def test_a_way_that_is_too_long_is_not_begun() -> None:
     trace = run(apart(Operator(align=SPEEDS, align_most=(0.1, 0.1, 0.1, 0.2, 0.2, 0.2)))).trace
     assert (trace["g_turn_m"] == 0.0).all()
     assert np.ptp(trace["x_s"][:, 3:], axis=0).max() < 1e-9

@@ -275,12 +275,9 @@ def test_not_a_number_stays_to_be_seen() -> None:
             assert isnan(cap(Cap(f_max=1.0).limits(DT), seen, 0.5))
 
 
-def test_extreme_caps_give_something_finite() -> None:
+def test_extreme_caps_give_something_finite_and_a_force_beyond_the_force_cap_fades_as_the_cap_does() -> None:
     for v_max, along in product((1e-9, 1e-3, 1e300), (0.0, 1e-12, 1.0, 1e308)):
         assert limit_speed(speed_of(v_max), 5.0, along) == (5.0 if along < 0.9 * v_max else 0.0), (v_max, along)
-
-
-def test_a_force_beyond_the_force_cap_fades_as_the_cap_does() -> None:
     speed = speed_of(1.0, 5.0)
     assert limit_speed(speed, 1e6, 0.95) == limit_speed(speed, inf, 0.95) == pytest.approx(2.5)
     assert limit_speed(speed_of(1.0, 5.0), -inf, 0.95) == -5.0

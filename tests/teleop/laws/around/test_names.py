@@ -91,10 +91,14 @@ def test_a_stage_of_ones_own_runs_in_every_engine_to_the_bit(monkeypatch: pytest
     assert np.array_equal(whole["softer_force_m"], whole["f_m"])
 
 
-def test_what_a_law_reads_is_seen_through_several_stages() -> None:
+def test_a_law_is_read_through_several_stages_its_rows_share_a_kernel_and_an_analysis_takes_the_law_inside() -> None:
     law = type(around("guard | deadband", PFRA()))
     assert reads(law.master) == reads(PFRA.master) | {"v", "dt"}
     assert reads(law.master_sums) == reads(PFRA.master_sums) | {"f_held", "dx"}
+    scenes = [load_scene("free_motion", law=f"deadband({k}) | pfra", duration=0.3) for k in (0.1, 0.2)]
+    assert len({library_name(scene, prepare(scene).bodies, ("x_err_rms",), Form(4), "cc") for scene in scenes}) == 1
+    law = around("deadband(0.1) | guard", Wave(b=3.0))
+    assert law.linear() == Wave(b=3.0)
 
 
 def test_a_stage_whose_record_has_a_name_of_at_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,11 +108,6 @@ def test_a_stage_whose_record_has_a_name_of_at_is_told_so(monkeypatch: pytest.Mo
     monkeypatch.setattr(Softer, "begun", Force(0.0))
     with pytest.raises(Refused, match="the stage softer has a record with the field f, a name of At"):
         compose(Softer(), Wave(b=1.0))
-
-
-def test_rows_that_differ_in_numbers_share_a_kernel() -> None:
-    scenes = [load_scene("free_motion", law=f"deadband({k}) | pfra", duration=0.3) for k in (0.1, 0.2)]
-    assert len({library_name(scene, prepare(scene).bodies, ("x_err_rms",), Form(4), "cc") for scene in scenes}) == 1
 
 
 def test_a_composed_law_goes_to_another_process() -> None:
@@ -166,8 +165,3 @@ def test_a_mistake_of_the_law_inside_is_told_with_its_own_line(tmp_path: Path) -
     file.write_text(MINE.replace(line, "return 1.0 / (rx.x < 0.02) + self.K * (rx.x - at.x)"))
     with pytest.raises(Refused, match=r"SmoothReflection.slave \(.*law_wrong.py:\d+\) raised ZeroDivisionError"):
         run(load_scene("canonical", law=f"deadband(0.1) | {file}", duration=0.2))
-
-
-def test_an_analysis_takes_the_law_inside_in_place_of_one_with_stages() -> None:
-    law = around("deadband(0.1) | guard", Wave(b=3.0))
-    assert law.linear() == Wave(b=3.0)

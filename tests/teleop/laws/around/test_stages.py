@@ -306,13 +306,10 @@ def test_the_law_around_which_it_stands_has_the_tool_for_a_master() -> None:
     assert around("virtual_coupling(damping=30.0)", alone).conditions(facts) == ()
 
 
-def test_a_coupling_is_linear_as_its_law_is() -> None:
+def test_a_coupling_is_linear_as_its_law_is_and_its_lines_run_over_all_lanes_at_once() -> None:
     scene = replace(load_scene("soft_tissue", law=around("virtual_coupling", Direct())), cap=None, watchdog=None)
     assert type(scene.law.linear()) is type(scene.law)
     linear_scene(scene)
-
-
-def test_the_lines_of_a_coupling_run_over_all_lanes_at_once() -> None:
     of = load_scene("canonical", law=around("virtual_coupling", Wave()))
     assert one_lane_after_the_other(of) == {"move_wall"}
 

@@ -157,21 +157,33 @@ def test_bodies_handed_in_are_those_that_move(method: IntegrationMethod) -> None
     assert error(8) < 0.7 * error(1)
 
 
-def test_a_master_that_nobody_holds_is_moved_too() -> None:
+def test_a_master_that_nobody_holds_or_that_has_no_slave_is_moved_too() -> None:
     scene = replace(load_scene("canonical", duration=0.1), hand=None)
     bodies = method_bodies(scene, BY_NAME["euler"], 1)
     x, v, _ = bodies.instead["move_free"](bodies.master[0], 1.0, 2.0, -3.0)
     assert (x, v) == pytest.approx((1.0 + 2.0e-3, 2.0 + 1e-3 * (-3.0 - 0.5 * 2.0) / 0.1), rel=1e-13)
     assert bodies.instead["move_free"] is not move_free
+    alone = load_scene("virtual_wall", duration=0.3)
+    own = run(alone)
+    errors = [np.abs(run(alone, bodies=method_bodies(alone, METHODS[0], n)).trace["x_m"] - own.trace["x_m"]).max()
+              for n in (1, 16)]
+    assert 1e-9 < errors[1] < 0.1 * errors[0]
 
 
-def test_an_environment_without_a_known_equation_is_refused() -> None:
+def test_what_no_fixed_step_method_can_move_is_refused_before_the_run() -> None:
     def my_move(*state: float) -> tuple[float, float, int]:
         return state[1], state[2], 0
 
     odd = free_space(BODY, 1e-3)._replace(move=my_move)
     with pytest.raises(Refused, match=r"my_move, so no fixed-step method can; take walls"):
         touch_of(odd, BODY)
+    with pytest.raises(Refused, match="not piecewise linear; take for example sdirk2"):
+        run(load_scene("stick_slip"), bodies="radau:2")
+    with pytest.raises(Refused, match=r"Radau IIA, two stages is not known .* take for example sdirk2"):
+        method_bodies(scene("Hunt-Crossley"), METHODS[-1], 1)
+    solid = replace(scene("a standard linear solid"), environment=Opaque())
+    with pytest.raises(Refused, match=r"move_relaxing, so no fixed-step method can; take walls"):
+        method_bodies(solid, METHODS[0], 1)
 
 
 # By name, as `teleop run --bodies` takes them
@@ -203,11 +215,6 @@ def test_exact_bodies_are_the_run_as_it_is_without_the_option() -> None:
 def test_what_names_no_bodies_is_refused(text: str, why: str) -> None:
     with pytest.raises(Refused, match=why):
         bodies_of(SHORT, text)
-
-
-def test_a_method_without_a_solver_for_friction_is_refused_before_the_run() -> None:
-    with pytest.raises(Refused, match="not piecewise linear; take for example sdirk2"):
-        run(load_scene("stick_slip"), bodies="radau:2")
 
 
 # Bodies that are not piecewise linear, or that remember
@@ -346,25 +353,6 @@ def test_the_methods_move_the_bodies_that_the_stack_moves(name: str) -> None:
 def test_so_do_scipys_solvers(name: str) -> None:
     some = scene(name, duration=0.03)
     assert off(run(some, bodies=outsider_bodies(some, "LSODA", 1e-6)), run(some)) < 1e-6
-
-
-def test_where_there_is_no_slave_the_master_is_moved() -> None:
-    alone = load_scene("virtual_wall", duration=0.3)
-    own = run(alone)
-    errors = [np.abs(run(alone, bodies=method_bodies(alone, METHODS[0], n)).trace["x_m"] - own.trace["x_m"]).max()
-              for n in (1, 16)]
-    assert 1e-9 < errors[1] < 0.1 * errors[0]
-
-
-def test_radau_iia_is_refused_where_its_coupled_stages_are_not_solved() -> None:
-    with pytest.raises(Refused, match=r"Radau IIA, two stages is not known .* take for example sdirk2"):
-        method_bodies(scene("Hunt-Crossley"), METHODS[-1], 1)
-
-
-def test_a_plant_with_an_inner_state_that_nobody_knows_is_refused() -> None:
-    solid = replace(scene("a standard linear solid"), environment=Opaque())
-    with pytest.raises(Refused, match=r"move_relaxing, so no fixed-step method can; take walls"):
-        method_bodies(solid, METHODS[0], 1)
 
 
 class Opaque:
