@@ -392,10 +392,7 @@ class TestTheObserver:
         assert result.status == "ok", result.sentence
         assert np.abs(result.trace["f_env"][500:]).max() < 0.2  # nothing touches it, and its weight is no touch
         assert np.abs(result.trace["x_s"] - HOME).max() < 0.2
-
-    def test_a_device_with_a_force_sensor_keeps_it_unless_a_bandwidth_is_typed(self) -> None:
-        robot = MuJoCoRobot(start(), HEAVY)
-        own = Compensated(robot, ArmModel(ARM, scene()))
+        own = Compensated(MuJoCoRobot(start(), HEAVY), ArmModel(ARM, scene()))  # which has a sensor, and keeps it
         assert own.read(0).f == (0.0, 0.0, 0.0)
         assert on_arm()[1].read(0).f == (0.0, 0.0, 0.0)
         assert on_arm()[1]._K is None
@@ -427,7 +424,7 @@ class TestTyped:
                 find_device("s", f"compensated:{text}").open(start())
 
 
-def test_zero_force_is_tried_again_of_a_device_that_held_nothing_but_a_weight() -> None:
+def test_zero_force_is_tried_again_of_a_device_that_held_a_weight_and_a_reading_that_is_not_finite_handed_on() -> None:
     """It counted as one without a force on, so that one failure of the last zero was the end of it."""
     device, arm = on_arm()
     guarded = GuardedDevice(arm, 3)
@@ -438,9 +435,6 @@ def test_zero_force_is_tried_again_of_a_device_that_held_nothing_but_a_weight() 
     device.fails = set()
     assert guarded.let_go()
     assert not guarded.forced
-
-
-def test_a_reading_that_is_not_finite_is_handed_on_and_computes_nothing() -> None:
     device, arm = on_arm()
     guarded = GuardedDevice(arm, 3)
     drive(guarded, 100, 0)

@@ -13,7 +13,7 @@ from teleop.people.trials.command import DOCUMENT
 from tests.browser import Browser, Page
 from tests.fakes import usually
 from tests.live.page.browser.mock import Mock
-from tests.live.study import NAMES, PLAN, StudySession
+from tests.live.page.test_real import NAMES, PLAN, StudySession
 from tests.waiting import PATIENCE, until
 
 pytestmark = pytest.mark.live
