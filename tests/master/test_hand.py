@@ -94,16 +94,15 @@ def test_motion_is_what_numpy_interpolates_and_rows_at_ticks_are_replayed_to_the
     assert [*Recording(path=path).samples(1, 202, MS)[0]] == [*x, x[-1], x[-1]]
 
 
-def test_ways_to_write_the_same_motion(write: Write) -> None:
+def test_ways_to_write_the_same_motion_of_which_one_column_moves_the_first_axis_and_three_need_three(
+    write: Write
+) -> None:
     for text in ("t,x\n0,0.5\n1,1.5\n", "0,0.5\n1,1.5\n", "\ufefft,x\r\n0,0.5\r\n1,1.5\r\n",
                  "# made by hand\n\n  T , X\n# more\n0 , 5e-1  # here\n\n1,+1.5"):
         (x,) = Recording(path=write(text)).samples(1, 3, 500 * MS)
         assert [*x] == [0.5, 1.0, 1.5], text
-    assert [*Recording(path=write("0, 0.5")).samples(1, 2, MS)[0]] == [0.5, 0.5], "a hand that stays"
-
-
-def test_one_column_moves_the_first_axis_and_three_need_three(write: Write) -> None:
-    assert [[*axis] for axis in Recording(path=write("0, 0.5")).samples(3, 1, MS)] == [[0.5], [0.0], [0.0]]
+    stays = Recording(path=write("0, 0.5")).samples(3, 2, MS)
+    assert [[*axis] for axis in stays] == [[0.5, 0.5], [0.0, 0.0], [0.0, 0.0]]
     with pytest.raises(Refused, match="along 3 axes, the scene has axes=1; set axes=3"):
         Recording(path=write("0, 0.5, 0, 0")).samples(1, 1, MS)
 

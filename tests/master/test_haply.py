@@ -86,7 +86,9 @@ def new() -> Iterator[Bench]:
     made.service.close()
 
 
-def test_it_reads_where_the_cursor_is_in_metres_and_how_fast_it_moves(bench: Bench) -> None:
+def test_it_reads_where_the_cursor_is_and_a_force_is_told_in_the_words_of_the_service_and_pushes_against_the_hand(
+    bench: Bench
+) -> None:
     device = bench.open("?origin=0,-0.12,0.15")
     reading = bench.go(device, 300)
     service = bench.service
@@ -94,12 +96,8 @@ def test_it_reads_where_the_cursor_is_in_metres_and_how_fast_it_moves(bench: Ben
     assert reading.x == pytest.approx(service.x, abs=0.2e-3 * (1.0 + abs(service.v[1])) + 1e-4)
     assert reading.v == pytest.approx(service.v, abs=5e-3)
     assert reading.f is None
-
-
-def test_a_force_is_told_in_the_words_of_the_service_and_pushes_against_the_hand(bench: Bench) -> None:
-    device = bench.open()
     bench.go(device, 20, (1.0, -0.5, 0.25))
-    assert bench.service.force == {"x": -1.0, "y": 0.5, "z": -0.25}
+    assert service.force == {"x": -1.0, "y": 0.5, "z": -0.25}
 
 
 def test_axes_are_taken_as_is_asked_for_and_a_force_beyond_the_limit_keeps_its_direction(new: Bench) -> None:

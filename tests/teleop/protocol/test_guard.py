@@ -94,7 +94,10 @@ def test_after_a_stall_it_is_safe_before_it_puts_out_any_force_and_the_ramp_has_
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_after_a_stall_in_which_the_device_let_go_the_force_begins_at_zero_and_does_not_jump(every: int) -> None:
-    """The device lapses after 0.15 s, the scene's watchdog waits for 0.8 s: the gain was 1, and the force came back."""
+    """The device lapses after 0.15 s, the scene's watchdog waits for 0.8 s: the gain was 1, and the force came back.
+
+    A tick that is as long as the deadline is no stall.
+    """
     one = ForceGuard(replace(DOG, timeout=0.8, ramp=0.5), DT * every, every=every)
     one.lapse_after(0.15)
     ticks = range(0, 300, every)
@@ -108,12 +111,9 @@ def test_after_a_stall_in_which_the_device_let_go_the_force_begins_at_zero_and_d
     assert not one.lapsed
     assert max(b - a for a, b in pairwise(rising)) == pytest.approx(DT * every / 0.5)
     assert rising[-1] == 1.0
-
-
-def test_an_end_whose_tick_is_as_long_as_the_deadline_does_not_take_every_tick_for_a_stall() -> None:
-    one = ForceGuard(DOG, 0.2)
-    one.lapse_after(0.15)
-    assert {one.step(k, True) for k in range(20)} == {1.0}
+    slow = ForceGuard(DOG, 0.2)
+    slow.lapse_after(0.15)
+    assert {slow.step(k, True) for k in range(20)} == {1.0}
 
 
 def test_a_short_stall_on_the_way_down_does_not_slow_it_and_on_the_way_up_does_not_hurry_it() -> None:
@@ -307,14 +307,14 @@ def test_where_all_is_well_the_short_way_through_a_tick_is_the_long_one(
 # The watchdog of a device: when its end counts as silent
 
 
-def test_a_heartbeat_is_overdue_after_the_deadline_and_not_before_and_not_without_a_force() -> None:
+def test_a_heartbeat_is_overdue_after_the_deadline_and_a_watchdog_that_stood_still_itself_gives_time_to_renew() -> None:
+    """Both had been kept from running, and the one that came back first judged the other. It gives no more than that.
+
+    Not overdue is one without a force.
+    """
     silence = Silence(150 * MS)
     assert [silence.overdue(ms * MS, MS) for ms in (*range(1, 152, 10), 151, 152)] == [False] * 17 + [True]
     assert not any(Silence(150 * MS).overdue(ms * MS, 0) for ms in (10, 20, 400, 410))
-
-
-def test_a_watchdog_that_stood_still_itself_gives_the_end_time_to_renew_and_no_more() -> None:
-    """Both had been kept from running, and the one that came back first judged the other."""
     for looks in ({100: {110: False, 120: False, 900: False, 910: False, 920: False}, 925: {930: False, 1000: False}},
                   {100: {110: False, 900: False, 910: False, 920: False, 931: True}},
                   {100: {110: False, 900: False, 1700: True, 2500: True}}):  # late at every look

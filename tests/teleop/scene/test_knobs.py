@@ -301,13 +301,12 @@ class TestOnTheCommandLine:
             scene = load_scene("hard_wall", law=law, duration=0.2, **{"law.K": "150"})
             assert run(scene).trace["x_s"].tobytes() == expected, law
 
-    def test_its_number_was_told_in_the_unit_of_a_built_in_law_that_has_one_of_the_same_name(self) -> None:
+    def test_its_number_was_told_in_the_unit_of_a_built_in_law_that_has_one_of_the_same_name(
+            self, written: Path) -> None:
+        """The example script can be named, and a number without a default given by its knob."""
         law = type(load_scene("soft_tissue", law="law_mine.py").law)
         assert "law.K" not in units_of("soft_tissue", ["law.K"], law)
         assert units_of("soft_tissue", ["law.K"], type(load_scene("soft_tissue", law="wave").law))["law.K"] == "N/m"
-
-    def test_the_example_script_can_be_named_and_a_number_without_a_default_given_by_its_knob(
-            self, written: Path) -> None:
         (written / "law.py").write_text(EXAMPLE)
         assert load_scene("soft_tissue", law="law.py", **{"law.cutoff": 2.0}).law.cutoff == 2.0
         assert load_scene("virtual_wall", law="spring.py", **{"law.K": "3"}).law.K == 3.0
@@ -333,11 +332,20 @@ class TestInASweep:
             alone = run(load_scene("soft_tissue", law=row["law"], delay=row["delay"], **self.FIXED))
             assert row["x_err_rms"] == alone.metrics["x_err_rms"]
 
-    def test_another_content_is_another_sweep(self, written: Path) -> None:
-        sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
-        sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
+    def test_another_content_is_another_sweep_and_another_kernel(self, written: Path) -> None:
+        from teleop.sweeps.kernels.c_kernel import Form, library_name
+
+        def kernel() -> str:
+            scene = load_scene("soft_tissue", law="law_mine.py")
+            return library_name(scene, exact_bodies(scene), ["x_err_rms"], Form(), "cc")
+
+        same = kernel()
+        for _ in range(2):
+            sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
+            assert kernel() == same
         for old, new in (("+ self.B * at.v,", "- self.B * at.v,"), ("K: float = 100", "K: float = 200")):
             (written / "law_mine.py").write_text(MINE.replace(old, new))
+            assert (kernel() == same) == ("100" in old), "numbers are passed to it"
             with pytest.raises(Refused, match="a law was edited"):
                 sweep("soft_tissue", self.AXES, fixed=self.FIXED, engine="plain", out="kept")
 
@@ -357,16 +365,6 @@ class TestInASweep:
         for row in rows:
             alone = run(load_scene("soft_tissue", law="law_mine.py", delay=row["delay"], **self.FIXED))
             assert row.get("x_err_rms", row.get("greatest")) in (alone.metrics["x_err_rms"], greatest(alone))
-
-    def test_another_content_is_another_kernel(self, written: Path) -> None:
-        from teleop.sweeps.kernels.c_kernel import Form, library_name
-
-        names = set()
-        for text in (MINE, MINE, MINE.replace("+ self.B * at.v,", "- self.B * at.v,")):
-            (written / "law_mine.py").write_text(text)
-            scene = load_scene("soft_tissue", law="law_mine.py")
-            names.add(library_name(scene, exact_bodies(scene), ["x_err_rms"], Form(), "cc"))
-        assert len(names) == 2
 
 
 def test_the_same_file_elsewhere_goes_together_with_it_and_another_content_does_not(written: Path) -> None:

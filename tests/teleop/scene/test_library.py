@@ -98,10 +98,14 @@ class TestBesideAScenesFile:
         (folder / f"{scene}.py").write_text(f"from {module} import K\n\ndef scene(*, k: float = K): ...\n")
         return str(folder / f"{scene}.py")
 
-    def test_a_module_is_imported_and_the_search_path_of_python_stays_as_it_is(self, tmp_path: Path) -> None:
+    def test_a_module_is_imported_and_the_search_path_and_what_is_installed_stay_as_they_are(
+            self, tmp_path: Path) -> None:
         """The scene's folder was left in sys.path, and the root of the packages before all else."""
         before = list(sys.path)
-        assert knobs_of(scene_function(self.written(tmp_path, 3.0)))["k"][:2] == (float, 3.0)
+        (tmp_path / "colorsys.py").write_text("raise AssertionError\n")
+        (tmp_path / "other.py").write_text("import colorsys\ndef scene(*, k: float = colorsys.ONE_THIRD): ...\n")
+        for path, k in ((self.written(tmp_path, 3.0), 3.0), (str(tmp_path / "other.py"), 1.0 / 3.0)):
+            assert knobs_of(scene_function(path))["k"][:2] == (float, k)
         assert sys.path == before
 
     def test_a_module_is_imported_by_a_thread_and_by_a_law_or_scene_that_asks_late(self, tmp_path: Path) -> None:
@@ -115,11 +119,6 @@ class TestBesideAScenesFile:
         assert late == 4.0
         with ThreadPoolExecutor(1) as one:
             assert one.submit(gain).result() == 5.0
-
-    def test_what_is_installed_stays_what_it_is(self, tmp_path: Path) -> None:
-        (tmp_path / "colorsys.py").write_text("raise AssertionError\n")
-        (tmp_path / "mine.py").write_text("import colorsys\ndef scene(*, k: float = colorsys.ONE_THIRD): ...\n")
-        assert knobs_of(scene_function(str(tmp_path / "mine.py")))["k"].default == 1.0 / 3.0
 
     def test_of_two_scenes_each_has_its_own_and_none_is_given_the_other_ones_module(self, tmp_path: Path) -> None:
         for k, folder in enumerate(("a", "b"), start=1):

@@ -188,13 +188,10 @@ def test_another_law_ran_with_untuned_gains_and_no_note_and_two_with_other_gains
 # Aligned text, facts and columns, and numbers as a person reads them: SI prefixes, durations, counts
 
 
-def test_facts_stand_below_each_other_behind_the_longest_label_each_on_its_line() -> None:
+def test_facts_stand_behind_the_longest_label_each_on_its_line_and_columns_are_as_wide_as_their_widest_cell() -> None:
     assert facts([("run", "a"), ("", "b"), ("longest", "c")]) == "run       a\n          b\nlongest   c"
     assert facts([("scene", "x\nstatus   ok\x1b[2J")]) == r"scene   x\nstatus   ok\x1b[2J"
     assert facts([]) == ""
-
-
-def test_columns_are_as_wide_as_their_widest_cell_and_end_without_blanks() -> None:
     lines = columns([("name", "size", "note"), ("a", "10", ""), ("bcdef", "7", "odd")], left=(0, 2)).splitlines()
     assert lines == ["name   size  note", "a        10", "bcdef     7  odd"]
 

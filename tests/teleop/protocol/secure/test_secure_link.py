@@ -272,15 +272,13 @@ def test_an_observer_whose_copies_come_first_draws_nothing_to_itself_before_the_
     assert_at_home(two, 500, 3900, 0.85)
 
 
-@usually("seed", range(5), 0)
-def test_nor_after_an_outage_of_1_4_s(world: Make, seed: int) -> None:
+@usually("who, seed", [(who, seed) for who in ("master", "slave") for seed in range(3)], ("master", 0), ("slave", 1))
+def test_nor_after_an_outage_of_1_4_s_or_after_an_end_was_killed_and_started_again(
+    world: Make, who: str, seed: int
+) -> None:
     """It never healed."""
     two = world("delay(0.02) | uniform(0.02) | blackout(2.0, 1.4)", seed, copies=True).run(6000)
     assert_at_home(two, 3500, 5900, 0.99)
-
-
-@usually("who, seed", [(who, seed) for who in ("master", "slave") for seed in range(3)], ("master", 0), ("slave", 1))
-def test_nor_after_an_end_was_killed_and_started_again(world: Make, who: str, seed: int) -> None:
     two = world(seed=seed, copies=True).run(1000)
     back = two.restart(who, 1500)
     two.run(6000)
