@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
 
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from master import Sine
@@ -153,33 +151,6 @@ def test_a_rebound_is_as_fast_as_the_first_integral_of_hunt_crossley_says(n: flo
     assert z.total < 1e-7
     if lam * v < 0.01:
         assert e == pytest.approx(1.0 - 2.0 / 3.0 * lam * v, abs=(lam * v)**2)
-
-
-def test_the_peak_force_of_an_impact_is_that_of_an_independent_integration() -> None:
-    m, k, lam, push, v, dt = 0.2, 1e6, 0.5, 1.0, 0.4, 1e-4
-    plant = beside(m, dt, 1e-12, k=k, lam=lam)
-    states, z = run(plant, 0.0, v, [push] * 100)
-    felt = [plant.force(plant.c, x, u, z) for x, u in states]
-
-    def rate(_: float, y: Any) -> list[float]:
-        return [y[1], (push - k * max(y[0], 0.0)**1.5 * max(1.0 + lam * y[1], 0.0)) / m]
-
-    def away(_: float, y: Any) -> float:
-        return float(y[0])
-
-    away.terminal, away.direction = True, -1.0  # type: ignore[attr-defined]
-    tight = {"rtol": 1e-11, "atol": 1e-13, "max_step": dt}
-    times = [dt * i for i in range(101)]
-    touch = solve_ivp(rate, (0.0, times[-1]), (0.0, v), "DOP853", events=away, t_eval=times, **tight)
-    meant = [k * max(x, 0.0)**1.5 * (1.0 + lam * u) for x, u in touch.y.T]
-    assert 50 < len(meant) < 100
-    assert felt[:len(meant)] == pytest.approx(meant, abs=1e-4 * max(meant))
-    assert 1 < felt.index(max(felt)) < len(meant)
-    left = float(touch.t_events[0][0])
-    x, u = states[-1]
-    out = float(touch.y_events[0][0][1])
-    assert u == pytest.approx(out + push / m * (times[-1] - left), abs=1e-6)
-    assert x == pytest.approx(out * (times[-1] - left) + 0.5 * push / m * (times[-1] - left)**2, abs=1e-8)
 
 
 def test_a_ball_dropped_on_an_undamped_spring_comes_back_as_high_for_long() -> None:

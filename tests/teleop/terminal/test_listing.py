@@ -102,18 +102,14 @@ class TestTables:
         for row in rows:
             run(load_scene("hard_wall", duration=0.01), bodies=row["name"].replace("N", "2"))
 
-    def test_playouts_are_what_their_knob_takes_and_keep_what_the_list_claims(self, typed: Typed) -> None:
-        """Of hold see tests/scenarios/test_random_links.py."""
+    def test_playouts_are_what_their_knob_takes(self, typed: Typed) -> None:
+        """What the list claims of them: tests/scenarios/test_random_links.py."""
         rows = json.loads(typed("list", "playout", "--json").out)["playout"]
         words = {"SECONDS": "0.1", "TARGET": "0.01", "RATE": "0.1", "GAPS": "integral"}
         typed_as = [re.sub("[A-Z]+", lambda found: words[found[0]], row["name"]) for row in rows]
         made = [load_scene("hard_wall", playout=each).playout for each in typed_as]
         assert [as_typed(each) for each in made if each is not None] == typed_as
         assert len(set(map(str, made))) == len(rows) == 8
-        for playout in ("zero", "fixed:0.08", "integral", "integral:0.01", "energy", "fixed:0.06:integral"):
-            scene = load_scene("jittery_wan", playout=playout, link="delay(0.05) | uniform(0.03) | bernoulli(0.4)",
-                               f_max="none", slew="none", timeout="none", duration=2.0)
-            assert run(scene).metrics["E_link_min"] > -1e-9, playout
 
     def test_stages_are_in_the_order_of_the_tick_and_each_is_turned_on_by_the_field_that_the_list_names(
             self, typed: Typed) -> None:
