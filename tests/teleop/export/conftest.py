@@ -42,7 +42,6 @@ class LiveEnd:
         self.writer.flush()
 
     def close(self) -> None:
-        """End."""
         self.writer.close()
         self.claim.close()
 

@@ -77,7 +77,6 @@ contrasts = [["smooth", "stiff"]]
 
 
 def plan_of(text: str) -> StudyPlan:
-    """The plan of a text."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "plan.toml"
         path.write_text(text)

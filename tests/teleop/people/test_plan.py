@@ -162,7 +162,6 @@ def test_a_law_that_passes_no_stiffness_on_is_measured_at_each_level_and_feels_t
 
 
 def person(plan: StudyPlan, number: int = 3) -> Person:
-    """A simulated person, behind a compliance of 0.002 m/N."""
     felt = {level: in_series(0.002, level) for level in (plan.task.standard, *plan.task.levels)}
     return Person(plan, number, dict.fromkeys("AB", felt), dict(zip("AB", plan.conditions, strict=True)))
 

@@ -42,9 +42,7 @@ def typed(capsys: Capture, *words: str, code: int = 0) -> str:
 
 
 def answer(capsys: Capture, *words: str) -> dict[str, Any]:
-    """The document of a command."""
-    document: dict[str, Any] = json.loads(typed(capsys, *words, "--json"))
-    return document
+    return dict(json.loads(typed(capsys, *words, "--json")))
 
 
 def test_check_shows_what_each_law_lets_through_and_what_a_session_costs(here: Path, capsys: Capture) -> None:
@@ -108,7 +106,7 @@ def test_until_it_is_unblinded_nothing_shows_a_condition(here: Path, capsys: Cap
     assert [(each["who"], each["when"][-1]) for each in looks] == [("Ada", "Z")]
 
 
-def test_the_table_has_a_row_for_each_trial_and_the_description_each_column(here: Path, capsys: Capture) -> None:
+def test_the_table_has_a_row_for_each_trial_and_a_cut_simulation_goes_on_to_it(here: Path, capsys: Capture) -> None:
     typed(capsys, "simulate", "plan.toml", "--out", "s", "--participants", "3")
     with (here / "s" / "data" / "study-small_data.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -126,10 +124,6 @@ def test_the_table_has_a_row_for_each_trial_and_the_description_each_column(here
     assert {*COLUMNS, *answers[0]} == set(named)
     scores = [row for row in answers if row["item"] in ("raw", "weighted")]
     assert len(scores) == 3 * 2 * 2
-
-
-def test_a_simulation_that_was_cut_goes_on_and_another_study_is_refused(here: Path, capsys: Capture) -> None:
-    typed(capsys, "simulate", "plan.toml", "--out", "s", "--participants", "3")
     path = here / "s" / "sub-02" / NAME
     whole = path.read_bytes()
     table = (here / "s" / "data" / "study-small_data.csv").read_bytes()
@@ -202,7 +196,6 @@ def test_a_line_that_no_session_writes_is_refused_and_named(here: Path, capsys: 
 
 
 def study_in(folder: Path) -> Study:
-    """A study with people."""
     return create_study(read_plan(folder / "plan.toml"), folder / "s", entropy=2**70 + 5)
 
 

@@ -55,7 +55,6 @@ class Page(HTMLParser):
         return "\n".join(self.texts)
 
     def figure(self, title: str) -> ElementTree.Element:
-        """The figure of this title."""
         return next(one for one in self.figures if one.findtext(f"{SVG}title") == title)
 
     def assert_needs_nothing_else(self) -> None:
@@ -90,7 +89,6 @@ def points(path: str) -> list[list[tuple[float, float]]]:
 
 
 def texts(figure: ElementTree.Element) -> list[str]:
-    """The texts that are drawn in a figure."""
     return [str(one.text) for one in figure.iter(f"{SVG}text")]
 
 

@@ -197,9 +197,9 @@ class TestTheWords:
     def test_on_runs_are_also_how_each_ended_where_all_are_ok(self, canonical: Result) -> None:
         """One that had too little time for a verdict was only called ok."""
         left_open = "0.1 m of swing are left, but that was too short a time for a verdict"
-        short = replace(canonical, seed=1, sentence=f"{canonical.sentence}; {left_open}")
-        assert any("too short a time for a verdict" in text for text in of(told(canonical), told(short)).texts)
-        assert canonical.sentence in of(told(canonical), told(short)).texts
+        shown = of(told(canonical), told(replace(canonical, seed=1, sentence=f"{canonical.sentence}; {left_open}")))
+        assert any("too short a time for a verdict" in text for text in shown.texts)
+        assert canonical.sentence in shown.texts
 
     def test_on_runs_that_differ_in_nothing_are_their_folders_and_on_many_a_row_each(self, canonical: Result) -> None:
         first, second = told(canonical)._replace(name="a"), told(canonical)._replace(name="b")

@@ -73,12 +73,12 @@ class Rig:
         self.processes.append(started)
         return started
 
-    def workers(self, number: int, **env: str) -> list[subprocess.Popen[bytes]]:
+    def workers(self, number: int, **env: str) -> None:
         words = self.address, "--no-nanny", "--nthreads", "1", "--local-directory", str(self.folder)
         wanted = len(self.client.nthreads()) + number
-        started = [self.start("worker", *words, **env) for _ in range(number)]
+        for _ in range(number):
+            self.start("worker", *words, **env)
         until(lambda: len(self.client.nthreads()) == wanted)
-        return started
 
     def kill_workers(self) -> None:
         """Leave the scheduler without a worker."""

@@ -115,7 +115,6 @@ class TestOneThatRaises:
 
 
 def edited(text: str) -> Callable[[Result], float]:
-    """The metric `rate`, with another text."""
     names: dict[str, Any] = {}
     exec(f"def rate(result):\n    {text}", names)
     made = names["rate"]

@@ -34,7 +34,6 @@ def rows(table: Any) -> list[dict[str, Any]]:
 
 
 def peak(result: Result) -> float:
-    """A figure of the user's own."""
     return float(abs(result.trace["f_m"]).max()) + 1.0
 
 

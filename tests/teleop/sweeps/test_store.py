@@ -36,7 +36,6 @@ def row(number: int, **more: object) -> dict[str, Any]:
 
 
 def filled(folder: Path, count: int = 3) -> Path:
-    """A sweep's folder with some rows, and closed."""
     with Store.open(folder, WHAT) as store:
         store.append(row(number) for number in range(count))
     return folder

@@ -39,7 +39,6 @@ WALL = VirtualWall(K=800.0)
 
 def handle(*, b: float = 0.8, dt: float = 1e-3, friction: float = 0.0, law: Any = WALL,
            **device: Any) -> Scene:
-    """The canonical handle on a virtual wall."""
     return Scene(law=law, master=MassDamper(mass=0.04, damping=b, friction=friction), dt=dt, duration=1.0,
                  device_m=Device(**{"velocity": BackwardDifference(), **device}))
 

@@ -54,7 +54,6 @@ def rows_of(folder: str = "runs/small") -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which the comparison was run."""
     folder = tmp_path_factory.mktemp("compared")
     (folder / "small.toml").write_text(SMALL)
     with pytest.MonkeyPatch.context() as patch:

@@ -239,7 +239,6 @@ def in_process(folder: Path, *words: str) -> subprocess.Popen[str]:
 
 
 def output(process: subprocess.Popen[str]) -> str:
-    """What it prints, once it has ended well."""
     out, err = process.communicate()
     assert process.returncode == 0, err
     return out
