@@ -274,6 +274,9 @@ def summary() -> Any:
 @settings(deadline=None)
 def test_a_summary_with_anything_in_place_of_a_value_is_taken_or_is_one_sentence(summary: Any, data: Any) -> None:
     RUN(summary, "summary.json")
+    for wrong in ([], {**summary, "metrics": []}):
+        with pytest.raises(Misshapen, match=r"summary\.json.* must be an object"):
+            RUN(wrong, "summary.json")
     changed = copy.deepcopy(summary)
     place, key = changed, data.draw(st.sampled_from(sorted(changed)))
     while isinstance(place[key], dict) and place[key] and data.draw(st.booleans()):
