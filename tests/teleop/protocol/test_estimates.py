@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop import Direct, Fixed, Scene, Zero
+from teleop import Direct, Fixed, Zero
 from teleop.protocol.estimates import FEWEST, MOST_RTT_NS, LinkEstimates, PeerClock
 from tests.fakes import usually
 from tests.teleop.protocol.virtual_clock import MS, Clock, S, World, healing
@@ -142,10 +142,6 @@ def test_what_nobody_can_have_sent_is_no_round_trip_and_no_times_raise(times: li
 # Two ends whose clocks go apart
 
 
-def slow(**other: Any) -> Scene:
-    return healing(Direct(K=200.0, B=5.0), dt=0.02, duration=700.0, **other)
-
-
 @pytest.mark.parametrize(("ppm", "playout", "jitter", "noise"), [
     ({"m": -200.0, "s": 200.0}, Zero(), 0, MS // 10), ({"m": 400.0}, Fixed(0.08), 20 * MS, 0), ({}, Zero(), 0, 2 * MS),
 ])
@@ -153,7 +149,8 @@ def test_two_minutes_of_hundreds_of_ppm_are_a_tick_or_two_and_the_noise_of_the_s
     ppm: dict[str, float], playout: Any, jitter: int, noise: int
 ) -> None:
     clocks = {e: Clock(10**12 * (e == "s"), ppm.get(e, 0.0)) for e in "ms"}
-    world = World(slow(playout=playout), clocks=clocks, still=True, jitter=jitter, noise=noise).run(120.0)
+    scene = healing(Direct(K=200.0, B=5.0), dt=0.02, duration=700.0, playout=playout)
+    world = World(scene, clocks=clocks, still=True, jitter=jitter, noise=noise).run(120.0)
     apart = clocks["s"].ppm - clocks["m"].ppm
     for e in "ms":
         end = world.end(e)

@@ -37,11 +37,6 @@ def schedules(draw: st.DrawFn) -> tuple[int, Arrivals]:
     return count, sorted(arrivals, key=lambda arrival: arrival[1])
 
 
-def planned(playout: Playout, arrivals: Arrivals, count: int) -> Plan:
-    table = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
-    return plan(playout, table[:, 0], table[:, 1], count, DT)
-
-
 def tick_of(packet: int, time_ns: int) -> int:
     return max(packet + 1, ceil(Fraction(time_ns, DT)))
 
@@ -81,7 +76,8 @@ def told_tick_by_tick(playout: Playout, arrivals: Arrivals, count: int) -> Plan:
 @given(playouts, schedules())
 def test_plan_is_the_definition(playout: Playout, schedule: tuple[int, Arrivals]) -> None:
     count, arrivals = schedule
-    got, definition = planned(playout, arrivals, count), told_tick_by_tick(playout, arrivals, count)
+    table = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
+    got, definition = plan(playout, table[:, 0], table[:, 1], count, DT), told_tick_by_tick(playout, arrivals, count)
     assert (got.play, *got[1:]) == (definition.play, *definition[1:])
 
 

@@ -38,11 +38,9 @@ from teleop.scene.scene import on_axis, without_orientation
 from teleop.simulation.summary_shape import RUN
 from teleop.storage.strict_json import Misshapen
 from tests.fakes import Springs
-from tests.teleop.scene import unlike as own_file
 from tests.teleop.scene.unlike import GAINS, LAWS, MASSES, unlike
 from tests.teleop.stages.tumbling import tumbling
 
-SCENE = str(own_file.__file__)
 COUPLED = {"tdpa"}  # laws whose energy is one for all axes
 
 

@@ -31,11 +31,6 @@ LAWS = {
 }
 
 
-def scene(*, gains: str = "pp", start: float = 0.01, duration: float = 0.6) -> Scene:
-    """The scene with the law that is called so."""
-    return unlike(LAWS[gains], start_m=(start, 0.02, 0.0), duration=duration)
-
-
 def unlike(law: Any = LAWS["pp"], **parts: Any) -> Scene:
     """Three axes that have nothing in common: a joint, a joint that nobody holds, and a carriage before a wall."""
     given: dict[str, Any] = {
