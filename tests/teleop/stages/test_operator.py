@@ -14,7 +14,7 @@ import pytest
 from channel import LeftOut
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop import At, Cap, Device, MassDamper, Operator, Reading, Refused, Scene, Watchdog, load_scene, run
+from teleop import At, Cap, Device, MassDamper, Operator, Reading, Refused, Scene, Watchdog, kind, load_scene, run
 from teleop.analysis.models.linear import linear_scene
 from teleop.laws.four_channel import FourChannel
 from teleop.laws.pp import PositionPosition
@@ -28,7 +28,7 @@ from tests.teleop.protocol.ends import MS, START, met
 
 
 class Back(NamedTuple):
-    x: float
+    x: kind.Position
 
 
 class Port(NamedTuple):
@@ -37,15 +37,16 @@ class Port(NamedTuple):
     v_told: float
     f_told: float  # the hand's force, N
     dx_told: float
+    held_told: float = 0.0  # the force that was held, N
 
 
 def metered(self: Any, s: Port, at: At, rx: Back) -> tuple[float, Back, Port]:
-    told = Port(s.E + at.f_held * at.dx, at.x, at.v, at.f, at.dx)
+    told = Port(s.E + at.f_held * at.dx, at.x, at.v, at.f, at.dx, at.f_held)
     return self.K * (at.x - rx.x) + self.B * at.v, Back(at.x), told
 
 
 Metered = law_of(  # a spring and a damper between the ends, with the ledger of its own port; it shows what it is told
-    name="Metered", shows=("E", "x_told", "v_told", "f_told", "dx_told"), master=metered,
+    name="Metered", shows=("E", "x_told", "v_told", "f_told", "dx_told", "held_told"), master=metered,
     master_start=lambda self, at: (Port(0.0, at.x, 0.0, 0.0, 0.0), Back(at.x)),
     slave_start=lambda self, at: ((), Back(at.x)),
     slave=lambda self, s, at, rx: (self.K * (rx.x - at.x) - self.B * at.v, Back(at.x), ()))

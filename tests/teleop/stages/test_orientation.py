@@ -15,7 +15,6 @@ from teleop import (
     PSPM,
     TDPA,
     FourChannel,
-    MassDamper,
     PDamped,
     Scene,
     TwoLayer,
@@ -145,32 +144,26 @@ def test_over_a_rough_link_a_law_keeps_its_ledger_on_rotations_as_on_translation
         assert book.min() > -1e-4
 
 
-def test_two_rotations_are_counted_each_by_itself() -> None:
-    """The same tumble twice: six axes, and the second as the first."""
-    class Twice:
-        def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> Any:
-            once = tumbling().hand.reference.samples(3, count, dt_ns, first)
-            return (*once, *once)
+class Columns:
+    """Columns of the tumble, each so many times as large, as the way of a hand."""
 
-    two = run(tumbling(axes=6, rotations=(0, 3), duration=1.0,
-                       hand=Grip(mass=0.001, k=2.0, d=0.05, reference=Twice()))).trace
-    one = run(tumbling(duration=1.0)).trace
+    def __init__(self, *columns: tuple[int, float]) -> None:
+        self.columns = columns
+
+    def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> Any:
+        once = tumbling().hand.reference.samples(3, count, dt_ns, first)
+        return tuple([[size * each for each in once[i]] for i, size in self.columns])
+
+
+def test_two_rotations_are_counted_each_by_itself_and_leave_the_translations_beside_them_as_they_are() -> None:
+    """To the bit: the same tumble twice, and x beside one."""
+    def of(*columns: tuple[int, float], rotations: tuple[int, ...]) -> Any:
+        return run(tumbling(axes=len(columns), rotations=rotations, duration=1.0, hand=Grip(
+            mass=0.001, k=2.0, d=0.05, reference=Columns(*columns)))).trace
+
+    turns = ((0, 1.0), (1, 1.0), (2, 1.0))
+    one, two = of(*turns, rotations=(0,)), of(*turns, *turns, rotations=(0, 3))
     assert np.array_equal(two["x_s"], np.hstack([one["x_s"]] * 2))
     assert all(np.array_equal(two[f"q{part}2_s"], one[f"q{part}_s"]) for part in "wxyz")
-
-
-def test_rotations_leave_the_translations_beside_them_as_they_are() -> None:
-    """Bit for bit: x, y and z beside a rotation are those of a scene without one."""
-    class Beside:
-        def __init__(self, axes: int) -> None:
-            self.axes = axes
-
-        def samples(self, axes: int, count: int, dt_ns: int, first: int = 0) -> Any:
-            return ([each / 10.0 for each in tumbling().hand.reference.samples(3, count, dt_ns, first)[0]],
-                    *tumbling().hand.reference.samples(3, count, dt_ns, first))[:axes]
-
-    def of(axes: int, **parts: Any) -> Any:
-        hand = Grip(mass=0.001, k=2.0, d=0.05, reference=Beside(axes))
-        return run(tumbling(axes=axes, hand=hand, duration=1.0, master=MassDamper(mass=0.001, damping=0.005), **parts))
-
-    assert np.array_equal(of(4, rotations=(1,)).trace["x_s"][:, 0], of(1, rotations=()).trace["x_s"])
+    beside, alone = of((0, 0.1), *turns, rotations=(1,)), of((0, 0.1), rotations=())
+    assert np.array_equal(beside["x_s"][:, 0], alone["x_s"])

@@ -24,7 +24,6 @@ from teleop import (
     Refused,
     Scene,
     Watchdog,
-    kind,
     load_scene,
     run,
 )
@@ -33,19 +32,9 @@ from teleop.protocol.guard import ForceGuard
 from teleop.stages.scaling import check_scale
 from tests.fakes import law_of
 from tests.teleop.protocol.ends import met
-from tests.teleop.stages.test_operator import Metered, Port, bouncing, driven, scene
+from tests.teleop.stages.test_operator import Back, Metered, bouncing, driven, scene
 
 
-class Place(NamedTuple):
-    x: kind.Position
-
-
-Turning = law_of(  # that of `Metered` with messages that tell an orientation
-    name="Turning", shows=("E",), master=lambda self, s, at, rx: (
-        self.K * (at.x - rx.x) + self.B * at.v, Place(at.x), Port(s.E + at.f_held * at.dx, *[0.0] * 4)),
-    master_start=lambda self, at: (Port(0.0, at.x, 0.0, 0.0, 0.0), Place(at.x)),
-    slave_start=lambda self, at: ((), Place(at.x)),
-    slave=lambda self, s, at, rx: (self.K * (rx.x - at.x) - self.B * at.v, Place(at.x), ()))
 class Spring(NamedTuple):
     E: float  # what the law's own force took in over the motion that it was told, J
     push: float  # that force, N
@@ -53,11 +42,11 @@ class Spring(NamedTuple):
 
 OfItsForce = law_of(  # as `Metered`, by the force that it answered and not by the one that it is told was held
     name="OfItsForce", shows=("E",), master=lambda self, s, at, rx: (
-        self.K * (at.x - rx.x) + self.B * at.v, Place(at.x),
+        self.K * (at.x - rx.x) + self.B * at.v, Back(at.x),
         Spring(s.E + s.push * at.dx, self.K * (at.x - rx.x) + self.B * at.v)),
-    master_start=lambda self, at: (Spring(0.0, 0.0), Place(at.x)),
-    slave_start=lambda self, at: ((), Place(at.x)),
-    slave=lambda self, s, at, rx: (self.K * (rx.x - at.x) - self.B * at.v, Place(at.x), ()))
+    master_start=lambda self, at: (Spring(0.0, 0.0), Back(at.x)),
+    slave_start=lambda self, at: ((), Back(at.x)),
+    slave=lambda self, s, at, rx: (self.K * (rx.x - at.x) - self.B * at.v, Back(at.x), ()))
 OUTAGE = "delay(0.01) | uniform(0.005) | blackout(0.7, 0.4)"
 
 
@@ -184,7 +173,7 @@ def test_a_clutch_of_the_rotation_lets_the_wrist_turn_alone_and_counts_it_anew()
 
 
 def test_clutches_of_parts_and_a_scale_that_bounce_at_random_make_no_energy() -> None:
-    of = load_scene("pose", law=Turning(K=10.0, B=0.2), duration=2.0, energy=True, observer=None)
+    of = load_scene("pose", law=Metered(K=10.0, B=0.2), duration=2.0, energy=True, observer=None)
     for seed in range(3):
         trace = run(replace(of, operator=Operator(
             clutch=bouncing(seed, 5), clutch_rotation=bouncing(20 + seed), clutch_translation=bouncing(40 + seed),
@@ -233,7 +222,7 @@ def test_the_wrist_is_realigned_on_closing_by_the_least_turn_while_the_translati
 
 
 def test_what_an_alignment_puts_in_is_what_the_laws_port_takes_beyond_the_device() -> None:
-    of = apart(Operator(align=SPEEDS, clutch=((0.0, 0.2), (0.5, 0.6))), Turning(K=100.0, B=2.0), observer=None)
+    of = apart(Operator(align=SPEEDS, clutch=((0.0, 0.2), (0.5, 0.6))), Metered(K=100.0, B=2.0), observer=None)
     trace = run(of).trace
     held = np.vstack([np.zeros(6), trace["f_m"][:-1]])
     device = np.cumsum((held * np.diff(trace["x_m"], axis=0, prepend=trace["x_m"][:1])).sum(axis=1))
