@@ -11,22 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 from channel import LeftOut, parse_link
 from master.hand import Grip, Sine
 from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
-from teleop import (
-    At,
-    Energy,
-    Fixed,
-    Frame,
-    Handover,
-    Integral,
-    Operator,
-    Scaled,
-    Scaling,
-    Scene,
-    Servo,
-    Wave,
-    kind,
-    load_scene,
-)
+from teleop import At, Fixed, Frame, Handover, Integral, Operator, Scaling, Scene, Servo, Wave, kind, load_scene
 from teleop.laws.direct import Direct
 from teleop.laws.pfra import PFRA
 from teleop.laws.pp import PositionPosition
@@ -35,6 +20,7 @@ from teleop.laws.wave_position import WavePosition
 from teleop.physics.plant import MassDamper
 from teleop.physics.relaxing import ElectricalDamping
 from teleop.scene.library import built_in_scenes
+from teleop.scene.playout import Energy, Scaled
 from teleop.stages.device import Device
 from teleop.stages.encoder import Encoder
 from teleop.stages.force_cap import Cap

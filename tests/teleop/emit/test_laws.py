@@ -1,20 +1,28 @@
-"""Every law in C with every bit, tame and with 1 % of the inputs infinite, NaN, subnormal or huge; and in float."""
+"""Printed ends beside Python: every law, tame, wild and in float; and the guard with odd messages and clocks."""
 
 from __future__ import annotations
 
+import random
 import re
+import struct
+import subprocess
+from dataclasses import replace
+from math import isfinite, nan
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
-from teleop import PositionPosition, Refused, Scene, VirtualWall, check_law, find_law, load_scene, run
+from teleop import Cap, PositionPosition, Refused, Scene, VirtualWall, Watchdog, check_law, load_scene, messages, run
 from teleop.emit import compiled as compiled_module
 from teleop.emit.compiled import float_error, ran
-from teleop.emit.files import files
+from teleop.emit.files import FLAGS, files
 from teleop.emit.types import FLOAT, Types
-from teleop.emit.vectors import run_vectors
-from teleop.law import BUILT_IN
+from teleop.emit.vectors import ReferenceEnd, run_vectors
+from teleop.law import BUILT_IN, find_law
+from teleop.protocol.guard import BLIND_NS, CAUSES, ForceGuard, HeldForce
+from teleop.protocol.states import Cause, Reason
+from teleop.simulation.tick import LiveTick
 from tests.programs import COMPILERS, program
 from tests.teleop.emit.printed import assert_same, compiled, differences
 
@@ -97,3 +105,185 @@ def test_a_printed_float_says_how_far_it_is_off(tmp_path: Path) -> None:
     assert "prints how far the force is off. Off by 1e-06 N." in made.texts["README.md"]
     assert not re.search(r"\bdouble\b", made.texts["bench_top_s.c"]), "not even the guard is in double"
     assert differences(compiled(made, tmp_path)) == ""
+
+
+DRIVER = """
+#include "@name@.h"
+#include <stdio.h>
+int main(int words, char **word)
+{
+    static @p@end end; static @p@moment m; static @p@answer a;
+    double r[8 + 3 * N + WIDTH], zero[N] = {0};
+    FILE *file = fopen(word[words - 1], "rb");
+    int i;
+    while (fread(r, sizeof r, 1, file) == 1) {
+        m.k = (uint32_t)(int64_t)r[1];
+        m.ready = r[2] != 0.0;
+        m.got = r[3] != 0.0;
+        m.number = (uint32_t)(int64_t)r[4];
+        m.unheard = r[5];
+        m.over = r[6] != 0.0;
+        for (i = 0; i < N; i++) { m.x[i] = r[8 + i]; m.v[i] = r[8 + N + i]; }
+        for (i = 0; i < WIDTH; i++) ((double *)m.rx)[i] = r[8 + 3 * N + i];
+        if (r[0] != 0.0) { @p@begin(&end, @p@of_scene(), m.k, m.x, m.v, zero, zero); continue; }
+        @p@step(&end, @p@of_scene(), &m, &a);
+        printf("%d %d %a", a.reason, a.send, end.guard.gain);
+        for (i = 0; i < N; i++) printf(" %a", a.force[i]);
+        printf("\\n");
+    }
+    return 0;
+}
+"""
+
+
+class Moment(NamedTuple):
+    """What is known at a tick."""
+
+    begin: bool
+    k: int
+    ready: bool
+    got: bool
+    number: int
+    unheard: float
+    over: bool
+    x: tuple[float, ...]
+    v: tuple[float, ...]
+    rx: tuple[Any, ...]
+
+
+class Reference:
+    """The end in Python, with the order of things that `Endpoint` has."""
+
+    def __init__(self, scene: Scene, e: str) -> None:
+        self.scene, self.e, self.end = scene, e, ReferenceEnd(scene, e, False)
+
+    def begin(self, at: Moment) -> None:
+        """A session begins."""
+        self.guard = ForceGuard(self.scene.watchdog, self.scene.dt_ns / 1e9)
+        self.guard.begin(at.k, "")
+        self.held = HeldForce(self.scene, self.e, 1, self.guard)
+        self.held.begin(at.k)
+        self.k = self.ran = at.k - 1
+        self.newest, self.failed = -1, False
+        assert not self.end.begin(at.x, at.v, (0.0,) * len(at.x))
+
+    def step(self, at: Moment) -> tuple[Any, ...]:
+        """Reason, whether there is a message, gain and force."""
+        guard, held, send = self.guard, self.held, False
+        passed, self.k = at.k - self.k, at.k
+        ready = at.ready and all(map(isfinite, (*at.x, *at.v)))
+        if self.failed:
+            held.over(None, passed)
+        elif not ready:
+            held.blind(at.k, self.ran, Reason(Cause.DEVICE, "no reading"))
+        else:
+            most = guard.timeout_ns / self.scene.dt_ns + 0.5
+            got = at.got and at.number > self.newest and at.number - at.k <= most and all(
+                isfinite(one) for each in at.rx for one in each)
+            self.newest = at.number if got else self.newest
+            gain = guard.step(at.k, got, over=Reason(Cause.SESSION_OVER, "over") if at.over else None,
+                              unheard=at.unheard, age=at.k - at.number if got else 0)
+            if guard.lapsed or guard.overdue:
+                held.zero(at.k)
+            answer = self.end.tick(LiveTick(at.k, at.x, at.v, None, got, float(self.newest), at.rx, None, gain,
+                                            held.force, held.since(at.k), 0.0, 1.0))
+            self.end.past = []
+            self.ran = at.k
+            self.failed = answer is None or not held.take(at.k, answer[0])
+            send = answer is not None and all(isfinite(one) for each in answer[1] for one in each)
+        if guard.overdue:
+            held.force = (0.0,) * len(held.force)
+        reason = len(CAUSES) if self.failed else -1 if guard.reason is None else CAUSES.index(guard.reason.cause)
+        return reason, int(send), guard.gain, *held.force
+
+
+def moments(scene: Scene, e: str, seed: int, count: int, *, start: int = 0, wild: float = 0.0) -> list[Moment]:
+    """A run of an end: quiet for a while, then with everything that goes wrong."""
+    dice, axes = random.Random(seed), range(scene.axes)
+    kind: Any = messages(scene.laws[0], 1e-3)[e == "m"]
+    k, x, sent, queue = start, [0.0 for _ in axes], start - 5, dict[int, int]()
+    here = Moment(True, k, True, False, 0, 0.0, False, tuple(x), tuple(0.0 for _ in axes), ())
+    made, silence, blind, over = [here], 0, 0, 0
+    for _ in range(count):
+        k += 1 if dice.random() < 0.98 else dice.choice((2, 5, 30, 300))
+        v = tuple([0.2 * dice.gauss(0.0, 1.0) for _ in axes])
+        x = [a + 1e-3 * b for a, b in zip(x, v, strict=True)]
+        if dice.random() < 0.004:
+            silence, blind, over = dice.choice(((150, 0, 0), (0, 20, 0), (0, 150, 0), (0, 0, 40), (30, 0, 0)))
+        silence, blind, over = silence - 1, blind - 1, over - 1
+        queue[k + dice.choice((1, 2, 3, 3000)) if dice.random() < 0.1 else k] = k - dice.choice((1, 3, 20))
+        number = queue.pop(k, sent - dice.choice((0, 5)) if dice.random() < 0.5 else k - 2600)
+        sent = max(sent, number)
+        rx = tuple([kind(*[nan if dice.random() < wild else 0.05 * dice.gauss(0.0, 1.0) for _ in kind._fields])
+                    for _ in axes])
+        made.append(Moment(False, k, blind < 0, silence < 0 and dice.random() < 0.9, number,
+                           dice.choice((0.0, 0.0, 0.3)) if dice.random() < 0.05 else 0.0, over >= 0,
+                           tuple(x), tuple([nan if dice.random() < wild else each for each in v]), rx))
+    return made
+
+
+def in_c(scene: Scene, e: str, folder: Path, runs: list[Moment]) -> list[list[float]]:
+    """What the printed end answers."""
+    made = files(scene, e, e)
+    name = next(each for each in made.texts if each.endswith(".h"))[:-2]
+    width = next(len(each.rx) * len(each.rx[0]) for each in runs if each.rx)
+    driver = DRIVER.replace("@name@", name).replace("@p@", f"{name}_")
+    for file, text in {**made.texts, "drive.c": driver}.items():
+        (folder / file).write_text(text)
+    words = [program(*COMPILERS), *FLAGS.split(), "-Wno-unused-function", f"-DN={scene.axes}", f"-DWIDTH={width}",
+             f"{name}.c", "drive.c", "-lm", "-o", "drive"]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[:3000]
+    rows = [[float(each.begin), float(each.k % 2**32), float(each.ready), float(each.got), float(each.number % 2**32),
+             each.unheard, float(each.over), 0.0, *each.x, *each.v, *(0.0,) * scene.axes,
+             *([one for part in each.rx for one in part] or [0.0] * width)] for each in runs]
+    (folder / "rows").write_bytes(b"".join([struct.pack(f"{len(row)}d", *row) for row in rows]))
+    done = subprocess.run([program(folder / "drive"), str(folder / "rows")], capture_output=True, text=True, check=True)
+    return [[float.fromhex(word) if "x" in word else float(word) for word in line.split()]
+            for line in done.stdout.splitlines()]
+
+
+CASES = {
+    "bench": (lambda: load_scene("bench_top", law="pp"), "m"),
+    "waves": (lambda: replace(load_scene("canonical"), watchdog=Watchdog(timeout=0.05, ramp=0.02, settle=0.03, age=1.0),
+                              cap=Cap(f_max=10.0, slew=200.0)), "s"),
+    "axes": (lambda: load_scene("bench_top", law="p_d", axes=3), "s"),
+    "without": (lambda: replace(load_scene("canonical", law="pp"), watchdog=None, cap=None), "m"),
+}
+
+
+@pytest.mark.parametrize("case", [pytest.param(each, marks=[pytest.mark.full] * (each in ("axes", "without")))
+                                  for each in CASES])
+def test_a_printed_guard_lets_go_and_takes_up_as_that_of_python_does(case: str, tmp_path: Path) -> None:
+    make, e = CASES[case]
+    scene = make()
+    runs = [*moments(scene, e, 1, 6000), *moments(scene, e, 2, 2000, start=2**32 - 1000),
+            *moments(scene, e, 3, 1500, start=700, wild=0.002)]
+    reference, expected = Reference(scene, e), []
+    for each in runs:
+        if each.begin:
+            reference.begin(each)
+        else:
+            expected.append([*map(float, reference.step(each))])
+    answers = in_c(scene, e, tmp_path, runs)
+    assert len(answers) == len(expected)
+    for n, (row, wanted) in enumerate(zip(answers, expected, strict=True)):
+        assert row == wanted, (n, row, wanted)
+    reasons = {int(row[0]) for row in answers}
+    wanted = {-1, CAUSES.index(Cause.SILENCE), CAUSES.index(Cause.DEVICE), CAUSES.index(Cause.SESSION_OVER),
+              CAUSES.index(Cause.NEW_SESSION)}
+    assert reasons >= wanted
+    assert BLIND_NS == 100_000_000
+
+
+def test_without_a_clock_that_goes_on_there_is_no_force_for_long(tmp_path: Path) -> None:
+    scene = replace(load_scene("canonical", law="pp"), watchdog=Watchdog(timeout=0.02, ramp=0.01, settle=0.01))
+    kind: Any = messages(scene.laws[0], 1e-3)[1]
+    first = Moment(True, 0, True, False, 0, 0.0, False, (0.0,), (0.0,), ())
+    going = [Moment(False, k, True, True, k - 1, 0.0, False, (0.01,), (0.0,), (kind(0.0, 0.0),)) for k in range(1, 100)]
+    still = [going[-1]._replace(k=k) for k in [99] * 30 + [50] * 10]
+    rows = in_c(scene, "m", tmp_path, [first, *going, *still, *[each._replace(k=each.k + 100) for each in going]])
+    assert abs(rows[98][3]) > 0.5
+    assert [row[3] for row in rows[99:119]] == [rows[98][3]] * 20
+    assert [(row[3], row[0]) for row in rows[120:139]] == [(0.0, float(CAUSES.index(Cause.CLOCK)))] * 19
+    assert abs(rows[139][3]) < 0.1, "it comes back along the ramp"

@@ -11,18 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from teleop import DeviceError, RotationAxes
-from teleop.physics.rotation import (
-    exp,
-    heard_at,
-    left_at,
-    log,
-    log_near,
-    log_twofold,
-    product,
-    sent_at,
-    turned,
-    unit,
-)
+from teleop.physics.rotation import exp, heard_at, left_at, log, log_near, log_twofold, product, sent_at, turned, unit
 
 ANGLES = (0.0, 5e-324, 1e-200, 1e-20, 1e-9, 1e-4, 0.3, 1.0, 2.0, 3.0, pi - 1e-6, pi - 1e-12, pi)
 AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8), (-2.0 / 3.0, 1.0 / 3.0, 2.0 / 3.0))

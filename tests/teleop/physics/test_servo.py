@@ -18,16 +18,7 @@ from slave import HuntCrossley, Tissue, Wall
 from teleop import MassDamper, PositionPosition, Refused, Scene, Servo, Wave, load_scene, run
 from teleop.analysis.models.linear import linear_scene
 from teleop.law import find_law, two_port_laws
-from teleop.physics.servo import (
-    LEAST,
-    beyond,
-    clip,
-    encoded,
-    goal_of,
-    move_mass,
-    true_touch,
-    turn,
-)
+from teleop.physics.servo import LEAST, beyond, clip, encoded, goal_of, move_mass, true_touch, turn
 
 NOTHING = (0, 0.0, 0.0, 0.0, 1.0, 1.5, 0.0)
 SO101: dict[str, Any] = {"K": 17.8, "damping": 0.6, "friction": 0.15, "stall": 2.94, "backlash": 0.00873,

@@ -19,25 +19,8 @@ from master.hand import Grip, Sine
 from slave.wall import Wall
 from teleop import PFRA, Direct, Hold, MassDamper, Scene, Wave, Zero, load_scene, run
 from teleop.scene.playout import integrates
-from teleop.simulation.metrics import (
-    DEADBAND,
-    FELT,
-    FREE,
-    LINK,
-    METRICS,
-    PLAYED,
-    PORTS,
-    PRESSES,
-    ROTATION,
-    STAMPS,
-    STANDS,
-    STORED,
-    SWINGS,
-    TWO_ENDS,
-    WATCHDOG,
-    WAVES,
-    metrics,
-)
+from teleop.simulation import metrics as needs
+from teleop.simulation.metrics import METRICS, metrics
 from teleop.simulation.prepared import prepare
 from teleop.simulation.structure import structure_of
 from teleop.simulation.trace import Columns, EndRecord, assemble, end_columns
@@ -192,17 +175,19 @@ def test_a_figure_that_is_no_finite_number_is_left_out() -> None:
 
 
 NEEDS: dict[str, Callable[[Scene], bool]] = {
-    "": lambda _: True, TWO_ENDS: lambda s: s.slave is not None,
-    LINK: lambda s: s.link is not None, PORTS: lambda s: s.energy, WAVES: lambda s: s.energy and s.has_waves,
-    STAMPS: lambda s: s.energy and s.has_waves and s.link is not None, WATCHDOG: lambda s: s.watchdog is not None,
-    STANDS: lambda s: prepare(s).still is not None, STORED: lambda s: structure_of(s).has.stored,
-    DEADBAND: lambda s: s.deadband is not None, ROTATION: lambda s: bool(s.rotations),
-    PLAYED: lambda s: s.link is not None and s.has_waves and integrates(s.played_as),
+    "": lambda _: True, needs.TWO_ENDS: lambda s: s.slave is not None,
+    needs.LINK: lambda s: s.link is not None, needs.PORTS: lambda s: s.energy,
+    needs.WAVES: lambda s: s.energy and s.has_waves, needs.WATCHDOG: lambda s: s.watchdog is not None,
+    needs.STAMPS: lambda s: s.energy and s.has_waves and s.link is not None,
+    needs.STANDS: lambda s: prepare(s).still is not None, needs.STORED: lambda s: structure_of(s).has.stored,
+    needs.DEADBAND: lambda s: s.deadband is not None, needs.ROTATION: lambda s: bool(s.rotations),
+    needs.PLAYED: lambda s: s.link is not None and s.has_waves and integrates(s.played_as),
 }
 
 
 def test_a_run_has_the_figures_that_the_list_says_it_has() -> None:
-    by_its_motion = {name for name, metric in METRICS.items() if metric.needs in (FREE, FELT, PRESSES, SWINGS)}
+    moved = (needs.FREE, needs.FELT, needs.PRESSES, needs.SWINGS)
+    by_its_motion = {name for name, metric in METRICS.items() if metric.needs in moved}
     scenes: list[tuple[str, dict[str, Any]]] = [
         ("canonical", {}), ("canonical", {"energy": False}), ("local", {"law": "direct"}), ("hard_wall", {}),
         ("encoder_wall", {}), ("canonical", {"playout": "integral"}), ("canonical", {"playout": "energy"}),

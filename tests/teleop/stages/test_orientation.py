@@ -11,19 +11,7 @@ import pytest
 from channel.link import parse_link
 from master.hand import Grip, Reach
 from slave.tissue import Tissue
-from teleop import (
-    PSPM,
-    TDPA,
-    FourChannel,
-    PDamped,
-    Scene,
-    TwoLayer,
-    Wave,
-    WavePosition,
-    find_law,
-    fitted,
-    run,
-)
+from teleop import PSPM, TDPA, FourChannel, PDamped, Scene, TwoLayer, Wave, WavePosition, find_law, fitted, run
 from teleop.kind import positions
 from teleop.law import known_laws, law_name, start_at
 from teleop.laws.pp import PositionPosition

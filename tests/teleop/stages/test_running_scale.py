@@ -13,20 +13,7 @@ import pytest
 from channel import LeftOut, parse_link
 from master.device import SimulatedMaster
 from slave.robot import SimulatedSlave
-from teleop import (
-    Cap,
-    Device,
-    Encoder,
-    Frame,
-    MassDamper,
-    Operator,
-    Reading,
-    Refused,
-    Scene,
-    Watchdog,
-    load_scene,
-    run,
-)
+from teleop import Cap, Device, Encoder, Frame, MassDamper, Operator, Reading, Refused, Scene, Watchdog, load_scene, run
 from teleop.laws.pp import PositionPosition
 from teleop.protocol.guard import ForceGuard
 from teleop.stages.scaling import check_scale
