@@ -135,13 +135,13 @@ def test_a_slave_in_c_serves_a_master_through_a_channel_that_loses_and_is_killed
     first, port = in_c.slave(scene, "first.csv")
     channel = command("channel", *scene, "--listen", "127.0.0.1:0", "--peer", f"127.0.0.1:{port}", "--json")
     master = command("master", *scene, "--peer", f"127.0.0.1:{channel.port()}", "--out", str(tmp_path / "m"), "--json")
-    master.live(lambda numbers: numbers["k"] > 1200 and numbers["gain"] == 1.0)
+    master.live(lambda numbers: numbers["k"] > 2000 and numbers["gain"] == 1.0)
     first.kill()
     first.wait()
     let_go = master.live(lambda numbers: numbers["gain"] == 0.0)["k"]
     second = in_c.start("slave", port, scene, "second.csv")
     again = master.live(lambda numbers: numbers["gain"] == 1.0 and numbers["k"] > let_go)["k"]
-    master.live(lambda numbers: numbers["k"] > again + 1000)
+    master.live(lambda numbers: numbers["k"] > again + 1500)
     master.signal(signal.SIGTERM)
     assert master.end()[0] == 0
     counts = ended(second)

@@ -42,12 +42,6 @@ def slave_and_master(command: Start, *scene: str, slave: tuple[str, ...] = (), m
     return one, other
 
 
-def until_recorded(folder: Path) -> None:
-    """Wait until the end whose folder this is has written rows."""
-    record = folder / FILE
-    until(lambda: record.is_file() and record.stat().st_size > 10_000)
-
-
 def nothing_left(folder: Path) -> None:
     """But perhaps the folder of all runs, which either end may have made for the other."""
     assert [path for path in folder.rglob("*") if path.name != "runs"] == []
@@ -191,7 +185,8 @@ def test_an_end_that_is_killed_leaves_a_record_that_can_be_opened_and_the_other_
     """Its arrays are made at the next opening."""
     slave, master = slave_and_master(command, "hard_wall", "--set", "duration=1.5", "--set", "timeout=0.1")
     folders = [tmp_path / "runs" / f"hard_wall-{name}-1" for name in ("master", "slave")]
-    until_recorded(folders[1])
+    record = folders[1] / FILE
+    until(lambda: record.is_file() and record.stat().st_size > 10_000, "it wrote no rows")
     slave.signal(signal.SIGSTOP)  # a process that stands still lives
     assert report(["report", str(folders[1])]) == 0
     assert "still running" in capsys.readouterr().out

@@ -17,7 +17,7 @@ import pytest
 
 from channel.recorded import Recorded
 from slave.wall import Wall
-from teleop import Device, Encoder, Fixed, Integral, LowPass, Playout, Refused, Result, Scene, Zero, load_scene, run
+from teleop import Device, Encoder, Fixed, Integral, LowPass, Playout, Refused, Result, Zero, load_scene, run
 from teleop.__main__ import main
 from teleop.live.records.inputs import ARRIVALS, INPUTS
 from teleop.live.records.reader import TruncatedRecord, read_record
@@ -293,10 +293,15 @@ def test_a_lossy_live_run_over_its_own_link_in_virtual_time_gives_its_forces(los
         assert np.abs(result.trace["f_m"]).max() > 0.1
 
 
-def asleep_for_a_while(folder: Path, playout: Playout) -> tuple[Recording, Scene]:
+@pytest.mark.parametrize("playout", [
+    pytest.param(Integral(), marks=pytest.mark.full), Zero(), pytest.param(Fixed(0.04), marks=pytest.mark.full),
+], ids=as_typed)
+def test_left_out_ticks_and_arrivals_of_a_run_make_the_same_run_in_virtual_time(
+    playout: Playout, tmp_path: Path
+) -> None:
     """Two seconds over loss, copies and jitter, both ends asleep for a while, with clocks that differ."""
     scene = healing(energy=True, duration=2.0, dt=0.001, playout=playout)
-    found = Recording(scene, out=folder, loss=0.1, jitter=9 * MS, copies=0.1, noise=MS // 2)
+    found = Recording(scene, out=tmp_path, loss=0.1, jitter=9 * MS, copies=0.1, noise=MS // 2)
     found.until_both_play(1.0)
     for e in "msms":
         found.run(0.3)
@@ -304,16 +309,6 @@ def asleep_for_a_while(folder: Path, playout: Playout) -> tuple[Recording, Scene
         found.run(0.03)
         found.pause(e, asleep=False)
     found.run(2.0)
-    return found, scene
-
-
-@pytest.mark.parametrize("playout", [
-    pytest.param(Integral(), marks=pytest.mark.full), Zero(), pytest.param(Fixed(0.04), marks=pytest.mark.full),
-], ids=as_typed)
-def test_left_out_ticks_and_arrivals_of_a_run_make_the_same_run_in_virtual_time(
-    playout: Playout, tmp_path: Path
-) -> None:
-    found, scene = asleep_for_a_while(tmp_path, playout)
     folders = {e: folder for folder, e in found.folders()}
     link = Recorded(str(folders["m"]), str(folders["s"]))
     result = run(replace(scene, link=link))
