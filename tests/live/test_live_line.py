@@ -169,11 +169,14 @@ def test_a_run_of_which_a_third_of_the_ticks_was_left_out_is_not_ok_without_a_wo
     assert str(missed_note(3637, 10000, zero, given)).endswith("or try --spin"), "no rate that is refused"
 
 
-def test_ticks_that_went_by_in_a_devices_read_are_laid_to_the_device() -> None:
+def test_ticks_that_went_by_in_a_devices_read_are_laid_to_the_device_and_waves_that_do_not_add_up_are_told() -> None:
     note = str(reading_note(4900, 52_000_000, 10_000))
     assert note.startswith("4900 of 10000 ticks went by while the device was read, for up to 52 ms at a time; ")
     assert reading_note(100, 52_000_000, 10_000) is None
     assert reading_note(0, 0, 0) is None
+    assert sums_note(0, "master") is None
+    assert str(sums_note(1, "slave")).startswith("the slave's waves do not add up: 1 message of it was not taken")
+    assert str(sums_note(7, "master")).startswith("the master's waves do not add up: 7 messages of it were not taken")
 
 
 @pytest.mark.parametrize(("playout", "said"), [
@@ -187,12 +190,6 @@ def test_a_note_on_ticks_that_were_left_out_says_what_the_playout_makes_of_them(
     """Of every playout it said that the force fades."""
     assert said in str(missed_note(500, 1000, load_scene("hard_wall", playout=playout)))
     assert "its law does without" in str(missed_note(500, 1000, load_scene("hard_wall", law="pfra", playout=playout)))
-
-
-def test_messages_whose_waves_do_not_add_up_are_said_in_a_note() -> None:
-    assert sums_note(0, "master") is None
-    assert str(sums_note(1, "slave")).startswith("the slave's waves do not add up: 1 message of it was not taken")
-    assert str(sums_note(7, "master")).startswith("the master's waves do not add up: 7 messages of it were not taken")
 
 
 SECONDS = 40.0

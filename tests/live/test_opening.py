@@ -104,14 +104,11 @@ def test_what_can_be_called_is_taken_as_it_is(make: Any) -> None:
     assert open_device(make, SCENE) is not None
 
 
-def test_an_end_that_is_neither_the_masters_nor_the_slaves_is_one_sentence(
-    capsys: pytest.CaptureFixture[str]
+def test_the_carriage_of_the_examples_in_a_scene_of_three_axes_was_a_traceback_and_an_end_of_neither_kind_is_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert end_main("slave", Robot, ["hard_wall"]) == 2
     assert "\"s\" for the slave's, not 'slave'" in capsys.readouterr().err
-
-
-def test_the_carriage_of_the_examples_in_a_scene_of_three_axes_was_a_traceback(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, str(ROOT / "scenarios" / "examples" / "device.py"), "recorded_reach", "--listen",
          "127.0.0.1:0"], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False)

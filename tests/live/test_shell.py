@@ -263,9 +263,6 @@ def test_an_end_whose_tick_0_was_moved_far_ahead_heeds_an_interrupt(pair: Make) 
     assert (slave.outcome.status, "SIGTERM" in slave.outcome.sentence) == ("stopped", True)
 
 
-# Records that cannot be written
-
-
 def test_datagrams_without_an_end_are_taken_in_up_to_a_number_and_a_time(tmp_path: Path) -> None:
     class Endless(Wire):
         taken = 0

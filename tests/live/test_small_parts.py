@@ -286,8 +286,7 @@ class Clocks:
         return self._read(0)
 
 
-def test_what_one_clock_counts_and_the_other_does_not_is_a_suspension_and_told_once_but_not_what_holds_a_process_up(
-) -> None:
+def test_what_one_clock_alone_counts_is_a_suspension_told_once_and_what_holds_a_process_up_is_none() -> None:
     clocks = Clocks()
     seen = Suspension(clocks.boot, clocks.mono)
     clocks.now += 100 * S
