@@ -189,7 +189,6 @@ class TestJoints:
 
 
 class TestAModelOfOnesOwn:
-
     def test_its_actuators_are_off_its_keyframe_home_is_where_it_begins_and_its_end_effector_may_have_another_name(
         self, tmp_path: Path
     ) -> None:

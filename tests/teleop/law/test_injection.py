@@ -75,7 +75,6 @@ def test_the_least_damping_is_where_the_sampled_two_port_becomes_passive(
 
 
 class TestConditions:
-
     def test_too_little_is_told_with_the_least_that_breaks_none(self) -> None:
         """14.5 N s/m is enough by the weaker condition in circulation, on T1^2 + T2^2; 20 without the tick."""
         for B in (0.0, 14.5, 20.0, 20.39):

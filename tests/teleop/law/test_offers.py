@@ -360,7 +360,6 @@ class Offered(Clipped):
 
 
 class TestALinearLawInItsPlace:
-
     def test_has_its_roots_margins_and_hybrid_matrix_and_the_report_says_so(self, tmp_path: Path, typed: Typed) -> None:
         """In virtual time it is not taken, and without the offer the law is refused."""
         (tmp_path / "clipped.py").write_text(CLIPPED)

@@ -306,6 +306,7 @@ def test_a_refusal_in_letters_of_several_bytes_fits_its_hello() -> None:
 
 MASTER, SLAVE, OTHER = ("10.0.0.1", 1000), ("10.0.0.2", 2000), ("10.0.0.9", 9000)
 
+
 def connection(e: str, asked: Address | None = None, number: int = 7, *, sealed: bool = False) -> Connection:
     session = Session(master=e == "m", manifest=MANIFEST, number=number if e == "m" else None)
     return Connection(Endpoint(healing(), e, session), asked, sealed=sealed)

@@ -68,7 +68,6 @@ class TestOfPlugIns:
 
 
 class TestTheHouse:
-
     def test_is_found_beside_teleop_and_not_taken_from_elsewhere(
             self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert Path(import_bundled("channel.delay").__file__).is_relative_to(ROOT)

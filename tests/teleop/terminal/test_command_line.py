@@ -236,7 +236,6 @@ class TestAWrongRequest:
 
 
 class TestAProcess:
-
     @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
     def test_whose_reader_has_seen_enough_ends_quietly_and_one_whose_output_cannot_be_written_says_so(
             self, process: Any, ended: Any) -> None:

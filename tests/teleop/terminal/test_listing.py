@@ -90,7 +90,6 @@ class TestList:
 
 
 class TestTables:
-
     def test_metrics_are_all_there_and_bodies_are_the_methods_by_names_that_run_takes(self, typed: Typed) -> None:
         rows = json.loads(typed("list", "metrics", "--json").out)["metrics"]
         assert [row["name"] for row in rows] == [*METRICS]

@@ -96,7 +96,6 @@ class TestAnAnswer:
 
 
 class TestAFact:
-
     def test_that_is_too_long_goes_on_below_its_own_beginning_but_where_it_has_what_to_copy_columns_or_no_room(
             self) -> None:
         table = facts([("run", "hard_wall"), ("queue", WORDS)])

@@ -124,7 +124,6 @@ class TestTheHandshake:
 
 
 class TestWhoIsLetIn:
-
     def test_is_the_pinned_master_and_the_pinned_slave_only_also_over_a_lossy_link(
         self, keys: list[Key], meet: Meet
     ) -> None:
