@@ -11,16 +11,7 @@ import pytest
 
 from teleop import Refused, load_scene, run
 from teleop.scene.library import ROOT
-from teleop.sweeps.matrix import (
-    BUILT_IN,
-    MatrixBlock,
-    Row,
-    read_matrix,
-    run_block,
-    run_matrix,
-    summary,
-    table,
-)
+from teleop.sweeps.matrix import BUILT_IN, MatrixBlock, Row, read_matrix, run_block, run_matrix, summary, table
 
 FULL = """
 [[block]]

@@ -29,11 +29,7 @@ from teleop.analysis.models.linear import StateSpace
 from teleop.analysis.models.peak import highest
 from teleop.analysis.models.sampled import damping_curve as curve_alone
 from teleop.analysis.models.sampled import needed_damping as needed_alone
-from teleop.analysis.models.sampled import (
-    of_state_space,
-    quantised_stiffness,
-    spring_damper,
-)
+from teleop.analysis.models.sampled import of_state_space, quantised_stiffness, spring_damper
 from teleop.laws.virtual_coupling import UNSTABLE, Tool, coupling_impedance, tool_impedance
 from teleop.physics.plant import linear
 from tests.teleop.analysis.models.closed_forms import alpha_max_spring_damper, filtered_wall, wall_damping
