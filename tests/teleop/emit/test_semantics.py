@@ -17,7 +17,7 @@ from teleop import At, Device, Refused, Scene, load_scene
 from teleop.emit import files as files_module
 from teleop.emit.expressions import c_word
 from teleop.emit.files import files
-from teleop.emit.primitives import HELPERS, PRIMITIVES, Primitive
+from teleop.emit.primitives import PRIMITIVES, Primitive
 from teleop.emit.types import DOUBLE, INT, Types
 from teleop.emit.vectors import vectors
 from tests.teleop.emit.printed import assert_same, compiled, differences, limited
@@ -115,26 +115,6 @@ def test_odd_expressions_have_the_bits_of_python(tmp_path: Path) -> None:
     assert differences(built) == ""
     for wild in (0.0, 0.05):
         assert differences(built, vectors(of, "m", made.tick, count=3000, wild=wild, again=40)) == ""
-
-
-MISTAKES = {  # of a printer: a helper as somebody would write it who knows C
-    "py_min": "static double py_min(double a, double b) { return fmin(a, b); }",
-    "py_max": "static double py_max(double a, double b) { return a > b ? a : b; }",
-    "py_mod": "static double py_mod(double a, double b, unsigned *fault) { (void)fault; return fmod(a, b); }",
-    "py_imod": "static int64_t py_imod(int64_t a, int64_t b, unsigned *fault) { (void)fault; return a % b; }",
-    "py_whole": "static double py_whole(double a, unsigned *fault) { (void)fault; return a; }",
-    "py_index": "static int64_t py_index(int64_t i, int n, unsigned *fault) { return *fault ? n : i < 0 ? 0 : i; }",
-}
-
-
-@pytest.mark.parametrize("helper", [
-    pytest.param(each, marks=[pytest.mark.full] * (each not in ("py_min", "py_mod"))) for each in MISTAKES])
-def test_a_helper_as_c_has_it_is_caught(helper: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(HELPERS, helper, MISTAKES[helper])
-    of = scene()
-    made = files(of, "m", "m")
-    built = compiled(made, tmp_path)
-    assert differences(built, vectors(of, "m", made.tick, count=2000, wild=0.05, again=40)) != ""
 
 
 def raising(v: float, x: float) -> float:

@@ -154,8 +154,9 @@ def z_in(b: float, z_load: float, T: float, frequency: float) -> complex:
     (Wave(b=0.8, K=0.0, B=0.3), 0.3), (Wave(b=0.8, K=0.0, B=0.8), 0.8),  # matched: it sends nothing back
 ])
 def test_the_channel_transforms_an_impedance_like_a_transmission_line(law: Wave, z_load: float) -> None:
+    seconds = 12 if z_load in (0.3, 2.0) else 2  # what damps takes its time to forget the start
     for frequency in (1.0, 7.0, 18.0):
         want = z_in(0.8, z_load, 0.05, frequency)
-        assert impedance(law, frequency, 50, seconds=12) == pytest.approx(want, rel=1e-9), frequency
+        assert impedance(law, frequency, 50, seconds=seconds) == pytest.approx(want, rel=1e-9), frequency
     published = [abs(z_in(0.8, 0.0, 0.05, frequency)) for frequency in (1.0, 4.0)]
     assert published == pytest.approx([0.25994, 2.46215], abs=5e-6)
