@@ -26,8 +26,9 @@ from teleop.laws.wave_scaled import ScaledWave, WaveScaled, scale_wave
 NAN = float("nan")
 
 
-def at(x: float = 0.0, v: float = 0.0, dt: float = 1e-3, *, gap: int = 0, gain: float = 1.0) -> At:
-    return At(x, v, NAN, NAN, NAN, True, 0.05, dt, dt * (1 + gap), gain)
+def at(x: float = 0.0, v: float = 0.0, dt: float = 1e-3, *, gap: int = 0, gain: float = 1.0, fresh: bool = True,
+       age: float = 0.05) -> At:
+    return At(x, v, NAN, NAN, NAN, fresh, age, dt, dt * (1 + gap), gain)
 
 
 def bodies(law: Any, T: float = 0.05, *, b_m: float = 0.5, b_s: float = 1.0) -> Scene:
@@ -274,10 +275,6 @@ def test_it_is_the_wave_law_and_springs_and_dampers_beside_it(x: float, v: float
 # Predicted
 
 
-def moving(v: float, *, fresh: bool = True, gap: int = 0) -> At:
-    return At(0.0, v, NAN, NAN, NAN, fresh, NAN, 1e-3, 1e-3 * (1 + gap))
-
-
 def felt(trace: Any, frequency: float) -> complex:
     """F_m/V_m at a frequency, over whole periods of the second half, N s/m."""
     count = len(trace["t"])
@@ -325,11 +322,11 @@ def test_no_more_is_played_than_came_whatever_the_model_says(
         came: list[tuple[float, float, float, bool, int]], mass: float, damping: float, tau: float) -> None:
     """And the port has what the books say: f v = (u^2 - p^2)/2. Ticks left out are paid before anything more is."""
     law, dt = WavePrediction(mass=mass, damping=damping, tau=tau), 1e-3
-    s, first = law.master_start(moving(0.0))
+    s, first = law.master_start(at())
     assert not any((*s, *first)), "it begins with nothing to spend"
     for wave, guess, v, fresh, gap in came:
         overdrawn = min(s.S + dt * gap * (s.r**2 - s.p**2) / 2.0, 0.0)
-        f, sent, s = law.master(s, moving(v, fresh=fresh, gap=gap), wave_prediction.Back(wave, guess))
+        f, sent, s = law.master(s, at(v=v, fresh=fresh, gap=gap), wave_prediction.Back(wave, guess))
         assert overdrawn - 1e-13 <= s.S
         assert f * v == pytest.approx((sent.u**2 - s.p**2) / 2.0, abs=1e-9)
         assert s.r == wave * fresh
@@ -338,10 +335,10 @@ def test_no_more_is_played_than_came_whatever_the_model_says(
 def test_the_model_is_a_slave_behind_the_laws_own_coupling() -> None:
     """Against another law's slave and a body stepped by backward Euler, together: the guess is its answer."""
     law, dt, b, K, B, M, D = WavePrediction(), 1e-3, 2.0, 500.0, 20.0, 0.5, 1.0
-    s, _ = law.master_start(moving(0.0))
+    s, _ = law.master_start(at())
     z = v_p = 0.0
     for k in range(400):
-        _, sent, s = law.master(s, moving(0.2 * np.sin(0.05 * k), fresh=False), wave_prediction.Back(0.0, 0.0))
+        _, sent, s = law.master(s, at(v=0.2 * np.sin(0.05 * k), fresh=False), wave_prediction.Back(0.0, 0.0))
         # v_d and v_p: f = sqrt(2b) u - b v_d = K z' + B (v_d - v_p), M (v_p' - v_p)/dt = f - D v_p'.
         C = B + K * dt
         v_d, after = np.linalg.solve([[b + C, -C], [-C, M / dt + D + C]], [2.0 * sent.u - K * z, M / dt * v_p + K * z])
@@ -362,7 +359,7 @@ def test_what_was_held_back_is_made_up_for_and_no_offset_stays_after_a_motion_in
 
 def test_the_slave_returns_the_guess_that_came_and_the_wave_laws_answer() -> None:
     for gain in (0.0, 0.4, 1.0):
-        here = moving(0.3)._replace(gain=gain)
+        here = at(v=0.3, gain=gain)
         f_s, back, s = WavePrediction().slave(WavePredictionSlave(0.01, 0.1), here, wave_prediction.Forth(1.2, -0.7))
         f, answer, same = Wave().slave(plain.WaveSlave(0.01, 0.1), here, plain.Forth(1.2))
         assert (f_s, tuple(s), back.guess) == (f, tuple(same), -0.7)
@@ -476,24 +473,20 @@ def mean_force(law: Wave | WaveScaled, p: float, dice: np.random.Generator) -> f
     rigid = type(law)(b=law.b, K=1e12, B=1e12)
     count, v, total = 60_000, 0.1, 0.0
     kept = dice.random((2, count)) >= p
-    (m, back), (s, forth) = rigid.master_start(here(0.0)), rigid.slave_start(here(0.0))
+    (m, back), (s, forth) = rigid.master_start(at(age=1e-3, v=0.0)), rigid.slave_start(at(age=1e-3, v=0.0))
     for k in range(count):
-        f, sent, m = rigid.master(m, here(v, fresh=bool(kept[0, k])), back)  # type: ignore[arg-type]
-        _, returned, s = rigid.slave(s, here(0.0, fresh=bool(kept[1, k])), forth)  # type: ignore[arg-type]
+        f, sent, m = rigid.master(m, at(age=1e-3, v=v, fresh=bool(kept[0, k])), back)  # type: ignore[arg-type]
+        _, returned, s = rigid.slave(s, at(age=1e-3, v=0.0, fresh=bool(kept[1, k])), forth)  # type: ignore[arg-type]
         back = returned if k + 1 < count and kept[0, k + 1] else back  # type: ignore[assignment]
         forth = sent if k + 1 < count and kept[1, k + 1] else forth  # type: ignore[assignment]
         total += f * (k >= count // 2)
     return 2.0 * total / count
 
 
-def here(v: float, *, fresh: bool = True) -> At:
-    return At(0.0, v, NAN, NAN, NAN, fresh, 1e-3, 1e-3, 1e-3)
-
-
 def test_a_held_wave_is_scaled_by_the_root_of_the_rate() -> None:
     """Nine messages of ten: g^2 comes to 0.9 around, and the wave in the gap is the last one so scaled."""
     law, s = WaveScaled(tau=0.1), ScaledWave(1.0, 0.0, 0.0, 0.0)
     for k in range(4000):
-        f, _, s = law.master(s, here(0.0, fresh=k % 10 != 0), wave_scaled.Back(1.0))
+        f, _, s = law.master(s, at(age=1e-3, v=0.0, fresh=k % 10 != 0), wave_scaled.Back(1.0))
     assert s.g2 == pytest.approx(0.9, abs=0.01)
     assert f == pytest.approx(-sqrt(2.0 * law.b * s.g2), rel=1e-12)
