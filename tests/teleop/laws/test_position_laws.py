@@ -155,7 +155,7 @@ def test_where_the_delay_varies_the_damper_over_the_link_goes() -> None:
 # Position-position
 
 
-def test_the_delay_it_stands_is_the_known_one() -> None:
+def test_the_delay_that_position_position_stands_is_the_known_one() -> None:
     """Hand 100 N/m and 2 N s/m, coupling 2000 and 8, wall 2000 N/m: 14.840 ms, first unstable at 11 ticks of 1 ms."""
     hand = Grip(mass=0.0, k=100.0, d=2.0, reference=Rest())
     scene = Scene(law=PositionPosition(K=2000.0, B=8.0).linear(), master=HANDLE, slave=HANDLE, hand=hand, duration=1.0,
@@ -166,7 +166,7 @@ def test_the_delay_it_stands_is_the_known_one() -> None:
     assert stability(scene).critical_round_trip == 11
 
 
-def test_over_a_delay_it_takes_the_ends_own_damping_or_a_law_that_injects_it() -> None:
+def test_over_a_delay_position_position_takes_the_ends_own_damping_or_a_law_that_injects_it() -> None:
     near = CONSTANT._replace(fwd=Age(1e-3, 1e-3), bwd=Age(1e-3, 1e-3), damping_m=0.5, damping_s=1.0)
     assert PositionPosition().conditions(near) == ()
     (told,) = PositionPosition(K=400.0, B=4.0).conditions(CONSTANT)
@@ -212,7 +212,7 @@ def test_the_felt_impedance_of_free_motion_is_that_of_the_law_book(T: float, C: 
     assert h11 == pytest.approx(by_hand, rel=1e-6)
 
 
-def test_between_equal_ends_it_is_passive_without_delay_and_active_with_any() -> None:
+def test_between_equal_ends_four_channels_are_passive_without_delay_and_active_with_any() -> None:
     f = np.geomspace(0.05, 50.0, 300)
     law = FourChannel(C5=0.5, C6=0.5)
     assert ports(law, 0.0, f, SLAVE, SLAVE).eta.min() > 1.0 - 1e-6
@@ -231,7 +231,7 @@ def test_a_sensor_that_feels_the_hands_mass_makes_a_loop_of_its_share(C6: float,
     assert bounded or got[-1] * got[-2] < 0.0
 
 
-def test_it_says_that_it_is_active_with_delay() -> None:
+def test_four_channels_say_that_they_are_active_with_delay() -> None:
     (told,) = FourChannel().conditions(CONSTANT)
     assert "T1 + T2 = 0.1 s" in told
     assert "--set delay=0" in told
@@ -249,7 +249,7 @@ BARE = ISS(tau=0.0, mu=1e12)  # position and force, nothing between
 
 @given(K=st.floats(1.0, 1e4), B=st.floats(0.0, 100.0), mu=st.floats(1.0, 1e5), x=st.floats(-0.1, 0.1),
        v=st.floats(-1.0, 1.0), f=st.floats(-10.0, 10.0), ticks=st.integers(1, 20))
-def test_force_and_commanded_motion_solve_their_equations_together(
+def test_force_and_commanded_motion_of_iss_solve_their_equations_together(
         K: float, B: float, mu: float, x: float, v: float, f: float, ticks: int) -> None:
     """f_s = K (x_d - x) + B (v_d - v) with x_d = x_m - f_s/mu and v_d = v_m - df_s/mu, over the span of the tick."""
     span = ticks * 1e-3
@@ -265,7 +265,7 @@ def test_force_and_commanded_motion_solve_their_equations_together(
     (ISS(), None, 31), (ISS(), Tissue(k=200.0, d=2.0), 35), (ISS(), Tissue(k=5000.0, d=5.0), 30),
     (BARE, None, 45), (BARE, Tissue(k=200.0, d=2.0), 71), (BARE, Tissue(k=5000.0, d=5.0), 25),
 ])
-def test_the_first_unstable_round_trip_is_that_of_the_law_book(law: ISS, environment: Any, ticks: int) -> None:
+def test_the_first_unstable_round_trip_of_iss_is_that_of_the_law_book(law: ISS, environment: Any, ticks: int) -> None:
     """The plants of `canonical`. The lead and the spring cost margin in free space, and win some on a hard wall."""
     hand = Grip(mass=0.4, k=200.0, d=5.0, reference=Rest())
     scene = Scene(law=law.linear(), master=MassDamper(mass=0.1, damping=0.5), hand=hand, duration=1.0,
@@ -273,7 +273,7 @@ def test_the_first_unstable_round_trip_is_that_of_the_law_book(law: ISS, environ
     assert stability(scene).critical_round_trip == ticks
 
 
-def test_a_slave_that_was_let_go_tells_of_no_force_and_takes_hold_slack() -> None:
+def test_a_slave_of_iss_that_was_let_go_tells_of_no_force_and_takes_hold_slack() -> None:
     f_s, back, s = ISS().slave(ISSSlave(2.0, 0.0), at(0.0, 0.0, gain=0.0), iss.Forth(0.2, 0.0))
     assert back == iss.Back(0.0, 0.0)
     assert s.offset == pytest.approx(0.2, rel=3e-3)
