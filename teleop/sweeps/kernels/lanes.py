@@ -257,8 +257,8 @@ class LaneStatements(Statements):
         """`here` where the mask is true, else `otherwise`: numbers, or trees of the same shape."""
         if not (self.is_number(here) and self.is_number(otherwise)):
             pairs = [self.parts(here), self.parts(otherwise)]
-            if len(pairs[0]) != len(pairs[1]):
-                raise self.refused("no mask selects between tuples of unlike lengths")
+            if len(pairs[0]) != len(pairs[1]) or class_of(here) is not class_of(otherwise):
+                raise self.refused("no mask selects between tuples of unlike types")
             return TupleParts(tuple([self.selected(which, *pair) for pair in zip(*pairs, strict=True)]), class_of(here))
         kind = self.joined(here, otherwise)
         if which.type == MASK:
