@@ -146,7 +146,8 @@ class TestTheDefault:
     @pytest.mark.parametrize(("name", "knobs"), [
         ("rubber", {}), ("rubber", {"law": "direct"}),  # a loop that enlarges errors
         *(pytest.param(*each, marks=pytest.mark.full) for each in (
-            *((scene, {}) for scene in built_in_scenes() if scene not in ("lte", "rubber", "servo_arm")),  # servos: refused
+            # the precision of servos is refused
+            *((scene, {}) for scene in built_in_scenes() if scene not in ("lte", "rubber", "servo_arm")),
             ("rubber", {"tolerance": 1e-6}), ("rubber", {"n": 1.0}), ("rubber", {"lam": 3.0})))])
     def test_the_estimate_of_a_scene_was_told_as_a_bound_and_was_none(self, name: str, knobs: dict[str, Any]) -> None:
         """Of 1.5 s of rubber 50.6 nm were told, and the true error is 130 nm: a blow's error of speed flies on."""
