@@ -10,7 +10,7 @@ from operator import add
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from channel import Bernoulli, Delay, UniformJitter
@@ -166,6 +166,7 @@ def test_each_part_beside_the_hands_has_its_own_weight(
 
 
 @given(forces=vectors, alpha=weight, across=weight, rest_gain=st.floats(0.0, 50.0))
+@example(forces=((30.0, 40.0), (5.0, 0.0), (0.1, 0.0)), alpha=0.0, across=0.0, rest_gain=2.0)  # slow, and both parts
 def test_the_rest_that_is_felt_is_at_most_rest_gain_times_the_speed_and_in_its_own_direction(
         forces: tuple[Vector, Vector, Vector], alpha: float, across: float, rest_gain: float) -> None:
     f_env, f_h, v = forces
