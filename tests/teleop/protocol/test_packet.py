@@ -161,9 +161,10 @@ def test_each_cause_is_named() -> None:
 
 
 FIELDS: dict[str, list[object]] = {
-    "payload": [[], None, 0.0, [0.0, 0.0, 0.0, 0.0, None], [[0.0] * WIDTH], "01234", {"x": 0.0}, b"01234", [nan] * 4],
+    "payload": [[], None, 0.0, [0.0, 0.0, 0.0, 0.0, 0], [0.0, 0.0, 0.0, 0.0, None], [[0.0] * WIDTH], "01234",
+                {"x": 0.0}, b"01234", [nan] * 4],
     "session": [1.0, True, None, "1"], "seq": [-1, False, 2.0, None], "sent_ns": [True, 3.0, None],
-    "echo": [[], [4, 5, 6], [2**63, 5], [4, 2**63], [4, True], 4, {"4": 5}],
+    "echo": [[], [4, 5, 6], [2**63, 5], [4, 2**63], [4.0, 5], [4, True], 4, {"4": 5}],
     "E_in": [True, "0.5", [0.5], msgpack.Timestamp(1), msgpack.ExtType(1, b"")], "extra": [1]}
 PAYLOADS: dict[int, list[object]] = {
     Kind.HELLO: [{1: "k"}, {"k": "\x1b"}, {"\n": "k"}], Kind.WELCOME: ["k", None, {"k": {}}], Kind.REFUSE: [1],

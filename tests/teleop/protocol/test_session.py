@@ -19,6 +19,7 @@ from teleop.protocol.manifest import MOST_CLOCK_NS, TICK_0, manifest_of
 from teleop.protocol.packet import Echo, Kind, Packet, peek
 from teleop.protocol.session import AGAIN_NS, RENEW_NS, Session, SessionBegun
 from teleop.scene.loading import load_scene
+from tests.begun import begin
 from tests.teleop.protocol.ends import packet_in
 from tests.teleop.protocol.virtual_clock import healing
 
@@ -360,8 +361,8 @@ def test_a_datagram_from_elsewhere_is_counted_and_dropped_while_a_session_lasts_
     assert [to for _, to in two.at[SLAVE].receive(start, OTHER, two.now)] == [MASTER], "a copy draws no answer there"
     assert two.at[SLAVE].peer == MASTER
     sealed = connection("s", sealed=True)
-    sealed.endpoint.session.begin(0, 10)
-    sealed.receive(copy[Kind.HELLO], OTHER, 20)
+    begin(sealed.endpoint.session, 0, 10)
+    sealed.receive(copy[Kind.WELCOME], OTHER, 20)
     assert sealed.endpoint.rejected["address"] == 0
 
 
