@@ -20,6 +20,7 @@ UNKNOWN, OTHER_HOME = ("198.51.100.7", 5000), ("192.0.2.3", 9001)
 SCENE = load_scene("canonical", link="none", duration=100)
 MANIFEST = manifest_of(SCENE)
 INSIDE = count()
+SEED = 9
 Where = tuple[str, int]
 
 
@@ -53,7 +54,7 @@ class Site:
     def __init__(self, **how: Any) -> None:
         self.near, self.far, self.ports = NoWire(None), NoWire(SLAVE), list[NoWire]()
         wires: Any = self.near, self.far
-        self.router = Router(SCENE, 0, *wires, port=self._port, close=NoWire.close,  # type: ignore[arg-type]  # no wires
+        self.router = Router(SCENE, SEED, *wires, port=self._port, close=NoWire.close,  # type: ignore[arg-type]  # no wires
                              secret=bytes(32),
                              **how)
         self.now = 10**12  # ns, of a clock that has been running

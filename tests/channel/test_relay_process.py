@@ -111,6 +111,7 @@ def said_by(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
     """What a channel says of itself before it relays: beyond this machine what is sealed alone, unless told not to."""
     def looked_at(shell: command.RelayShell, _interrupt: Any) -> None:
         assert shell.router._sealed_only is (listen.startswith("0.0.0.0") and "--insecure" not in more)
+        assert shell.router._seed == 9 * ("--seed" in more)
 
     monkeypatch.setattr(command.RelayShell, "run", looked_at)
     assert command.main(["canonical", "--no-realtime", "--listen", listen, "--peer", "127.0.0.1:9", *more]) == 0
@@ -121,7 +122,7 @@ def test_the_link_is_shown_as_it_is_typed_and_the_master_started_with_the_scene_
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Typed as it says, the two ends have one manifest; the slave refuses any other."""
-    said = said_by(capsys, monkeypatch, "127.0.0.1:0", "--link", "delay(0.05) | bernoulli(p=0.1)")
+    said = said_by(capsys, monkeypatch, "127.0.0.1:0", "--link", "delay(0.05) | bernoulli(p=0.1)", "--seed", "9")
     assert said.startswith("channel: delay(0.05) | bernoulli(0.1); 127.0.0.1:")
     for given in ([], ["--insecure"], ["--set", "law=pfra", "--set", "law.kf = 0.2"],
                   ["--set", "duration=3", "--link", "delay(0.05) ; delay(0.2)"]):

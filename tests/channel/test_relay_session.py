@@ -15,7 +15,7 @@ from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
 from teleop.protocol.secure.dtls_record import MTU, records
 from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
-from tests.channel.site import MANIFEST, MASTER, MS, OTHER_HOME, SLAVE, UNKNOWN, Site, hello, request, sealed
+from tests.channel.site import MANIFEST, MASTER, MS, OTHER_HOME, SEED, SLAVE, UNKNOWN, Site, hello, request, sealed
 from tests.live.conftest import command, summary  # noqa: F401 (a fixture)
 from tests.waiting import PATIENCE
 
@@ -119,13 +119,15 @@ def test_its_own_master_may_ask_anew_and_the_next_session_has_a_link_of_its_own_
         counts = site.router.counts(way)
         assert counts.received == counts.delivered == 2 * (10 + 2)
     assert not site.takes(site.session(7)(Kind.BACK), SLAVE)
-    site.router.turn(load_scene("hard_wall", link="bernoulli(1.0)"))
+    turned = load_scene("hard_wall", link="bernoulli(0.5)")
+    site.router.turn(turned)
     site.run(8)
     site.meet(9)
-    for k in range(5):
-        assert not site.takes(site.session(9)(Kind.FORTH, k), MASTER)
-    counts = site.router.counts(0)
-    assert (counts.lost, counts.received) == (5, counts.delivered + 5)
+    for way, kind, sender in ((0, Kind.FORTH, MASTER), (1, Kind.BACK, SLAVE)):
+        drawn = turned.link.arrivals(way, 40, MS, SEED, 100).packet.tolist()  # type: ignore[union-attr]
+        assert [k for k in range(40) if site.takes(site.session(9)(kind, k), sender)] == drawn, "by seed and number"
+        counts = site.router.counts(way)
+        assert (counts.lost, counts.received) == (40 - len(drawn), counts.delivered + 40 - len(drawn))
 
 
 def test_a_slave_that_answers_from_another_address_is_heard_there_and_the_next_session_asks_the_first_again(

@@ -101,6 +101,8 @@ def test_rows_that_are_sorted_already_are_returned_as_they_came() -> None:
     run = np.arange(5), np.arange(5)
     for rows in (by_time, by_number):
         assert all(got is given for got, given in zip(rows(*run), run, strict=True))
+    assert [x.tolist() for x in by_number(np.array([1, 0, 1]), np.array([5, 5, 2]))] == [[0, 1, 1], [5, 2, 5]]
+    assert by_time(np.array([1, 0]), np.array([5, 5]))[0].tolist() == [0, 1], "ties go by number"
 
 
 def test_a_draw_depends_on_seed_direction_and_place_and_on_nothing_else() -> None:
