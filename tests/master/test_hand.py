@@ -101,6 +101,8 @@ def test_ways_to_write_the_same_motion_of_which_one_column_moves_the_first_axis_
                  "# made by hand\n\n  T , X\n# more\n0 , 5e-1  # here\n\n1,+1.5"):
         (x,) = Recording(path=write(text)).samples(1, 3, 500 * MS)
         assert [*x] == [0.5, 1.0, 1.5], text
+    (x,) = Recording(path=write("0.002, 0.5\n0.004, 1.5")).samples(1, 6, MS)
+    assert [*x] == [0.5, 0.5, 0.5, 1.0, 1.5, 1.5], "held before the first row too"
     stays = Recording(path=write("0, 0.5")).samples(3, 2, MS)
     assert [[*axis] for axis in stays] == [[0.5, 0.5], [0.0, 0.0], [0.0, 0.0]]
     with pytest.raises(Refused, match="along 3 axes, the scene has axes=1; set axes=3"):

@@ -209,6 +209,8 @@ class TestAModelOfOnesOwn:
         readings = moved(MuJoCoRobot(scene(1), file), [(2.0,)] * 500)
         assert readings[-1].v[0] == pytest.approx(2.0 * (1.0 - np.exp(-1.0)), rel=1e-3)
         assert [MuJoCoRobot(scene(1, dt=dt), file)._model.substeps for dt in (5e-4, 1e-3, 2e-3)] == [4, 4, 8]
+        model = load(scene(1), file)
+        assert "came upon nothing within 0.2 m of its start" in pressed(model, copy(MuJoCoBody(model)))[0]
 
     def test_what_cannot_be_a_robot_is_refused_in_one_sentence(self, tmp_path: Path) -> None:
         slider(tmp_path)
