@@ -22,7 +22,7 @@ from teleop.live.records.merge import merge
 from teleop.live.records.record import EVENTS
 from teleop.protocol.packet import Kind, peek
 from tests.fakes import Body, at_tick, wire_of
-from tests.live.conftest import make_shell
+from tests.live.conftest import make_shell, summary
 
 pytestmark = pytest.mark.live
 Make = Callable[..., Any]
@@ -61,7 +61,10 @@ def test_both_ends_run_to_their_end_every_tick_is_accounted_for_and_the_motors_a
         merge(SCENE, master, slave)
 
 
-def test_a_start_that_is_lost_is_repeated_before_tick_0_and_whoever_reads_along_may_leave(pair: Make) -> None:
+def test_a_start_that_is_lost_is_repeated_before_tick_0_and_whoever_reads_along_may_leave(
+    pair: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And a full disk stops the record, not the loop, and is a note of the summary."""
     left, said, lost = list[Any](), list[dict[str, Any]](), iter(range(2))
     wire = wire_of(lambda data: peek(data)[0] is Kind.START and next(lost, None) is not None)
 
@@ -70,7 +73,17 @@ def test_a_start_that_is_lost_is_repeated_before_tick_0_and_whoever_reads_along_
         raise BrokenPipeError
 
     scene = replace(SCENE, duration=0.6)
-    both = pair(scene, wire=wire, parts={"m": {"say": leave}, "s": {"say": said.append}}).run()
+    both = pair(scene, wire=wire, parts={"m": {"say": leave}, "s": {"say": said.append}})
+    recorder = both.shells["s"].recorder
+    begin = recorder.begin
+
+    def full(force: Any) -> None:
+        begin(force)
+        recorder._file.close()
+        recorder._file = Path("/dev/full").open("wb")  # noqa: SIM115 (the recorder closes it)
+
+    monkeypatch.setattr(recorder, "begin", full)
+    both.run()
     assert next(lost, None) is None
     assert both.status() == {"m": "ok", "s": "ok"}
     counts = both.shells["s"].counts
@@ -80,6 +93,8 @@ def test_a_start_that_is_lost_is_repeated_before_tick_0_and_whoever_reads_along_
     assert [numbers["end"] for numbers in said] == ["s"] * len(said)
     assert all(0 <= numbers["k"] < 600 and 0.0 <= numbers["delay"] < 0.5 for numbers in said[1:])
     assert {numbers["gain"] for numbers in said} == {1.0}
+    [note] = [note for note in summary(both.write()[1])["notes"] if "record stopped at row" in note]
+    assert note.endswith("No space left on device")
 
 
 @pytest.mark.parametrize(("e", "seed"), [("m", None), ("s", 1), *[

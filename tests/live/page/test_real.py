@@ -133,7 +133,8 @@ def test_the_browser_is_opened_if_it_is_asked_for_and_an_end_before_that_leaves_
     browser, record = tmp_path / "browser", tmp_path / "page" / "01" / "master" / "record.bin"
     browser.write_text('#!/bin/sh\ncat "${1#file://}" > opened.part && mv opened.part opened\n')
     browser.chmod(0o755)
-    process = subprocess.Popen([*TYPED, "--open"], cwd=tmp_path, env=environment(BROWSER=f"{browser} %s"), text=True,
+    own = environment(BROWSER=f"{browser} %s")
+    process = subprocess.Popen([*TYPED, "--open"], cwd=tmp_path, env=own, text=True,
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         assert process.stderr is not None
@@ -148,6 +149,13 @@ def test_the_browser_is_opened_if_it_is_asked_for_and_an_end_before_that_leaves_
     assert process.returncode == 0, err
     assert json.loads(out)["parts"] == 1
     assert (tmp_path / "page" / "01" / "summary.json").is_file()
+    again = subprocess.Popen(TYPED, cwd=tmp_path / "page", env=own, text=True, stderr=subprocess.PIPE)
+    try:
+        assert again.stderr is not None
+        assert again.stderr.readline() == line, "a browser that showed the page comes back to it by itself"
+    finally:
+        again.send_signal(signal.SIGTERM)
+        again.communicate(timeout=PATIENCE)
 
 
 PLAN = '''

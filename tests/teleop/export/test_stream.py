@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from teleop import Refused, load_result
+from teleop.__main__ import main
 from teleop.export import stream as module
 from teleop.export.stream import LARGEST, GrowingRun, RowEncoder, stream
 from teleop.storage.folder import claim
@@ -190,8 +191,10 @@ def test_several_axes_are_fields_of_an_object(tmp_path: Path, receiver: Receiver
     assert np.array_equal(table, np.frombuffer(data).reshape(5, -1)[:, at : at + 3])
 
 
-def test_the_command_ends_in_order_on_ctrl_c(tmp_path: Path, receiver: Receiver,
-                                             process: Callable[..., subprocess.Popen[str]]) -> None:
+def test_the_command_ends_in_order_on_ctrl_c_and_when_the_run_is_over(
+    tmp_path: Path, receiver: Receiver, process: Callable[..., subprocess.Popen[str]],
+    capsys: pytest.CaptureFixture[str]
+) -> None:
     import signal
 
     claimed = claim(tmp_path / "run")
@@ -209,3 +212,6 @@ def test_the_command_ends_in_order_on_ctrl_c(tmp_path: Path, receiver: Receiver,
     assert "ended by SIGINT; 40 rows in 3 datagrams" in out
     assert "neither" not in err
     assert "in plain UDP; Ctrl-C ends it" in err
+    assert main(["stream", str(tmp_path / "run"), "--plotjuggler", f"127.0.0.1:{receiver.at[1]}", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["rows"], told["unheard"], told["over"]) == (40, 0, True)
