@@ -144,7 +144,8 @@ def test_what_is_left_out_has_its_reason_and_the_findings_of_before(here: Path, 
     (here / "plan.toml").write_text(TEXT.replace("least_correct = 0.5", "least_correct = 0.5\nlongest = 8.0\n"
                                                                        "focus_lost = true\nleast_trials = 0.9"))
     typed(capsys, "simulate", "plan.toml", "--out", "s", "--participants", "6")
-    for number, change in ((1, {"time": 9.0}), (2, {"correct": False, "answer": 1}), (3, {"focus_lost": True})):
+    for number, change in ((1, {"time": 9.0, "modality": "haptic"}), (2, {"correct": False, "answer": 1}),
+                           (3, {"focus_lost": True})):
         path = here / "s" / f"sub-{number:02d}" / NAME
         rows = read_journal(path)
         trials = [row for row in rows if row["kind"] == "trial" and not row["training"]]
@@ -160,6 +161,8 @@ def test_what_is_left_out_has_its_reason_and_the_findings_of_before(here: Path, 
     text = typed(capsys, "analyse", "s")
     assert "before anything was left out" in text
     assert "1 trial took too long" in text
+    path.write_text(path.read_text().replace('"modality": "simulated"', '"modality": "visual"'))
+    assert "a pointer displays no force" in typed(capsys, "analyse", "s", code=2)
 
 
 @pytest.mark.usefixtures("here")

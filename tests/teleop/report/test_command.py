@@ -329,14 +329,15 @@ def test_of_a_page_has_its_parts_in_order_but_those_that_cannot_be_read(typed: T
     parts, page = [], Path("pg")
     for i, law in enumerate(("wave", "direct", "tdpa"), 1):
         run(load_scene("hard_wall", duration=0.1, law=law)).save(page / f"{i:02}")
-        parts.append({"folder": f"{i:02}", "knobs": {}, "k": 100 * (i - 1), "why": "turn" if i > 1 else "start"})
+        parts.append({"folder": f"{i:02}", "knobs": {}, "k": 4000 * (i - 1), "why": "turn" if i > 1 else "start"})
     index = {"version": 1, "scene": "hard_wall", "seed": 0, "command": ["teleop", "demo", "--page"], "parts": parts}
     (page / "page.json").write_text(json.dumps(index))
     lines = typed("report", "pg").out.splitlines()
     assert lines[0] == "page   hard_wall, 3 parts"
     assert [line.split()[:2] for line in lines[2:5]] == [["1", "start"], ["2", "switched"], ["3", "switched"]]
     shown = of("pg")
-    assert {"hard_wall, 3 parts on the page", "start", "switched", "0.1 s"} <= {*shown.texts}
+    assert {"hard_wall, 3 parts on the page", "start", "switched", "8.0 s", "direct(K=500, B=20, kf=1)"} <= {
+        *shown.texts}
     assert len(frames(shown.figure("position"))) == 3
     assert "teleop demo --page" in shown.texts
     (page / "02/trace.npz").unlink()

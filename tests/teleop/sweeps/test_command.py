@@ -121,6 +121,7 @@ class TestWhatIsTold:
         runs = json.loads((FOLDER / "summary.json").read_text())["runs"]
         assert [run["ran"] for run in runs] == [3, 2]
         assert [run["command"][-1] for run in runs] == ["duration=0.1", "plain"]
+        assert "done" not in runs[0]
 
 
     def test_of_one_that_was_stopped_before_its_first_row_is_that_it_goes_on(

@@ -129,7 +129,8 @@ class TestWhatIsSaid:
             ["at_rest", "free_motion", "4", "4"], ["local", "local", "1", "0"], ["in", "all", "5", "4"]]
         assert lines[4] == "1 of 5 rows not as expected:"
         assert len(lines) == 6
-        assert lines[5].startswith("local-pfra: expected ok (a hope), came diverged: was not finite or passed x_limit")
+        assert lines[5] == ("local-pfra: expected ok (a hope), came diverged: was not finite or passed x_limit = "
+                            "0.001 m in 715 ticks, x_err_max 0.000156, f_m_max 0")
 
     def test_can_be_held_by_json(self, written: Written) -> None:
         blocks = written(SMALL)

@@ -127,6 +127,7 @@ class TestAfterAKill:
             assert (tmp_path / "s" / "rows.jsonl").stat().st_size == size  # looking changes nothing
             Store.open(tmp_path / "s", WHAT).close()
             assert (tmp_path / "s" / "rows.jsonl").read_bytes() == whole[:begins]
+            (tmp_path / "s" / "rows.jsonl").write_bytes(whole[:size])
             with Store.open(tmp_path / "s", WHAT) as store:
                 assert list(store.done) == [0, 1]
                 store.append([row(2)])

@@ -119,12 +119,12 @@ def test_no_dashed_curve_is_hidden_by_a_solid_one(scene: str, tmp_path: Path, mo
 
 def test_the_command_leaves_files_and_a_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
-    for scene, *more in (("virtual_wall", "--plot"), ("virtual_coupling",), ("soft_tissue",)):
+    for scene, *more in (("virtual_wall", "--set", "law.K=1600", "--plot"), ("virtual_coupling",), ("soft_tissue",)):
         out = tmp_path / scene
         assert main(["passivity", scene, "--out", str(out), "--json", *more]) == 0
         told = json.loads(capsys.readouterr().out)
         assert told["path"] == str(out)
-        assert scene != "virtual_wall" or (told["passive"], told["needed_damping"]) == (True, pytest.approx(0.4))
+        assert scene != "virtual_wall" or (told["passive"], told["needed_damping"]) == (True, pytest.approx(0.8))
         drawn = {"passivity.png"} if more else set()
         assert {path.name for path in out.iterdir()} == {"summary.json", "curves.npz"} | drawn
         with np.load(out / "curves.npz") as curves:

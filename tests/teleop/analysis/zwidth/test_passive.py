@@ -92,6 +92,8 @@ class TestSpringAndDamper:
             region = passive_region(handle(delay=d))
             assert stiffest_alone(region) == pytest.approx(0.8 / (1e-3 * (0.5 + d)), rel=1e-8)
         assert region.stiffest > 1.2 * stiffest_alone(region)
+        for b, dt, d in ((1.25, 1e-3, 1), (5.0, 1e-3, 5), (5.0, 5e-4, 5)):  # of which the damping is known
+            assert inside(corners(handle(b=b, dt=dt, delay=d)), (1.0 / dt, 0.5)) == pytest.approx(1.0, rel=5e-5)
 
 
 class TestFilterAndSlowForce:

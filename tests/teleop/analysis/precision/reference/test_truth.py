@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 import teleop.analysis.precision.measure
 import teleop.analysis.precision.reference.truth as truth_module
+import teleop.analysis.precision.report
 from slave import Wall
 from teleop import MassDamper, Refused, Scene, load_scene, run
 from teleop.analysis.models.by_axis import along, own_parts
@@ -21,7 +23,7 @@ from teleop.analysis.precision.measure import Entry, Precision, measure, step_co
 from teleop.analysis.precision.reference.deviation import Steps, touching
 from teleop.analysis.precision.reference.reference import reference_bodies
 from teleop.analysis.precision.reference.truth import Truth, bound_of, truth_of
-from teleop.analysis.precision.report import summary, table
+from teleop.analysis.precision.report import draw, summary, table
 from teleop.scene.library import built_in_scenes
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators.methods import METHODS
@@ -247,6 +249,16 @@ class TestWhatIsTold:
         assert told["bound"] == pressed.truth.bound
         assert told["methods"][0]["name"] == "default"
         assert set(told["reference"]["step_ns"]) == {"default", "semi_implicit_euler/1"}
+
+    def test_the_figure_has_the_bound_beside_the_true_error(
+        self, pressed: Precision, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        pytest.importorskip("matplotlib")
+        made: list[Any] = []
+        monkeypatch.setattr(teleop.analysis.precision.report.plot, "save", lambda figure, *_: made.append(figure) or [])
+        draw(pressed, tmp_path / "p")
+        labels = made[0].axes[0].get_legend_handles_labels()[1]
+        assert {"default: SDIRK2 to 1e-09 m a tick", "its own bound"} <= {*labels}
 
     def test_a_wall_that_moves_is_compared_with_the_exact_run(self, quick: None) -> None:  # noqa: F811
         scene = strike(**{"duration": 0.04, **SCENES["a wall that moves"]})
