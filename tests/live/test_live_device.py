@@ -86,6 +86,16 @@ def test_an_end_whose_device_fails_is_safe_and_comes_back_by_itself(pair: Make) 
     assert trace["g_m"][-1] == 1.0
 
 
+def test_a_device_that_never_comes_back_and_takes_zero_ends_the_run_with_a_sentence_at_both_ends(pair: Make) -> None:
+    scene, gone = replace(SCENE, duration=5.0), OSError("the bus is gone")
+    device = Body(inner=SimulatedMaster(scene), reads=lambda k, now: always(gone if k >= 100 else now)(k, now))
+    both = pair(scene, parts={"m": {"device": device}, "s": {}}).run()
+    assert both.errors == {"m": None, "s": None}
+    assert both.status() == {"m": "stopped", "s": "stopped"}
+    assert all("the device fails: the bus is gone" in shell.outcome.sentence for shell in both.shells.values())
+    assert device.held[-1] == (0.0,)
+
+
 def test_a_device_that_reads_ints_and_float32_is_heard_by_the_other_end_and_that_it_has_no_deadline_is_told(
     pair: Make
 ) -> None:
