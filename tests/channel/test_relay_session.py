@@ -12,7 +12,7 @@ import pytest
 from channel.relay import MOST_FLOWS, QUIET_NS, UNMET_MOST, UNMET_NS
 from channel.router import EACH_MOST, SLOT_NS, Cookies
 from teleop.protocol.packet import Echo, Kind, Packet, decode, encode
-from teleop.protocol.secure.dtls_record import MTU, records
+from teleop.protocol.secure.dtls_record import EXTRA, MTU, records
 from teleop.protocol.session import Session
 from teleop.scene.loading import load_scene
 from tests.channel.site import MANIFEST, MASTER, MS, OTHER_HOME, SEED, SLAVE, UNKNOWN, Site, hello, request, sealed
@@ -172,6 +172,10 @@ def test_a_cookie_is_good_for_its_address_its_handshake_and_its_relay_alone_and_
     site = Site()
     data = site.asks(random=b"r" * 32)
     cookie = data[-32:]
+    for asked in (data, data.ljust(MTU + EXTRA, b"\0")):
+        assert site.takes(asked, MASTER)
+        passed = hello(4, random=b"r" * 32).ljust(min(len(asked), MTU), b"\0")
+        assert site.out[1][-1][1] == passed, "the slave never sees it, and no hello is longer than any other"
     assert not site.takes(hello(9, cookie=cookie, random=b"r" * 32), UNKNOWN)
     assert not site.takes(hello(9, cookie=cookie, random=b"r" * 32), (MASTER[0], MASTER[1] + 1))
     assert not site.takes(hello(9, cookie=cookie, random=b"s" * 32), ("192.0.2.1", 4001))

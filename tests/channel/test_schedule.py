@@ -249,6 +249,8 @@ def test_uniform_numbers_are_numpys_of_the_same_53_bits_and_stay_within_their_en
     ours = Rng(4, 0, 0).words(np.arange(50))
     theirs = Generator(Philox(key=[4, KEY], counter=[0, 0, 0, 0])).random(200)
     assert unit(ours).ravel().tolist() == theirs.tolist()
+    drawn = Rng(4, 0, 0).uniform(np.arange(50), draw=5, word=2)
+    assert drawn.tolist() == unit(Rng(4, 0, 0).words(np.arange(50), 5)[:, 2]).tolist()
     extremes = np.array([0, MASK], np.uint64)
     assert unit(extremes).tolist() == [0.0, 1.0 - 2.0**-53]
     assert inside(extremes).tolist() == [2.0**-53, 1.0 - 2.0**-53]
