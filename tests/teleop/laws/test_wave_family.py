@@ -253,6 +253,9 @@ def test_with_the_damping_of_its_condition_the_two_port_is_passive_and_with_much
     B_p = (sqrt((b_m - b_s) ** 2 + reach * reach) - b_m - b_s + K_p * dt) / 2.0
     assert WavePosition(K_p=K_p, B_p=0.0).fitted(facts(T, b_m, b_s)).B_p == pytest.approx(B_p, rel=1e-9)
     assert WavePosition(K_p=K_p, B_p=2.0 * B_p).fitted(facts(T, b_m, b_s)).B_p == 2.0 * B_p
+    (note,) = WavePosition(K_p=K_p, B_p=0.998 * B_p).conditions(facts(T, b_m, b_s))
+    assert float(note.partition("--set law.B_p=")[2].split()[0]) == pytest.approx(B_p, rel=2e-3)
+    assert WavePosition(K_p=K_p, B_p=1.0001 * B_p).conditions(facts(T, b_m, b_s)) == ()
     assert (2.0 * (B_p + b_m) - K_p * dt) * (2.0 * (B_p + b_s) - K_p * dt) == pytest.approx(reach * reach, rel=1e-12)
     assert passive(WavePosition(K_p=K_p, B_p=B_p), T, b_m, b_s)
     assert not passive(WavePosition(K_p=K_p, B_p=0.0), T, b_m, b_s)

@@ -130,6 +130,22 @@ def test_wall_and_tissue_without_friction_are_those_of_a_closed_form() -> None:
             x, v, z = y, w, after
 
 
+def test_whatever_a_wall_does_within_a_tick_the_plant_follows() -> None:
+    dice, quick = random.Random(13), 0
+    for _ in range(500):
+        (_, m, b, k, d, *_), p, u, f, dt = struck(dice)
+        dt *= dice.choice([1.0, 4.0])
+        body = MassDamper(mass=m, damping=b)
+        plant = implicit_plant(body, dt, resistance=Resistance(WALL, k, d))
+        exact = wall(body, dt, k=k, d=d, at=0.0, side=1.0)
+        x, v, _, z = plant.move(plant.c, p, u, f, plant.start)
+        y, w, _ = exact.move(exact.c, p, u, f)
+        assert abs(x - y) <= 3.0 * z[1] + 0.1 * TOL
+        assert dt * abs(v - w) <= 3.0 * z[1] + 0.1 * TOL
+        quick += z == plant.start
+    assert 160 < quick < 440
+
+
 def test_free_flight_without_friction_is_the_exact_step_to_the_bit() -> None:
     body = MassDamper(mass=0.3, damping=0.7)
     free, dice = free_space(body, DT), random.Random(2)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 from master.hand import Grip, Sine
 from slave import HuntCrossley, Moving, StandardLinearSolid, Tissue, Wall
@@ -20,11 +21,11 @@ from teleop.analysis.precision.reference.reference import settle
 from teleop.physics.contact import wall
 from teleop.physics.plant import free_space, grip, move_free, move_gripped, spring_damper
 from teleop.physics.relaxing import relaxing
-from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL
+from teleop.physics.sdirk import BOND, HUNT_CROSSLEY, NOTHING, WALL, resistance_force
 from teleop.simulation.bodies import exact_bodies
 from teleop.simulation.integrators import relaxed
 from teleop.simulation.integrators.methods import METHODS, IntegrationMethod, Touch
-from teleop.simulation.integrators.nonlinear import ADVANCE, goes
+from teleop.simulation.integrators.nonlinear import ADVANCE, goes, kicked
 from teleop.simulation.integrators.parts import has_closed_form
 from teleop.simulation.integrators.relaxed import Branch
 from teleop.simulation.integrators.stepped import bodies_of, method_bodies, stepped, sub_step, touch_of
@@ -139,6 +140,15 @@ def test_the_other_side_is_the_mirror_image(method: IntegrationMethod) -> None:
         c, d, _ = other.move(other.c, -x, -v, -1.0)
         assert (a, b) == (-c, -d)
         assert one.force(one.c, x, v) == -other.force(other.c, -x, -v)
+
+
+@pytest.mark.parametrize(("p", "u", "f"), [(-1e-4, 0.5, 1.0), (-5e-4, 0.6, 1.0), (1e-4, -0.2, 0.0), (2e-4, -0.4, 1.0)])
+def test_radau_solves_its_two_stages_together_with_their_contact(p: float, u: float, f: float) -> None:
+    """Butcher's tableau with the wall's force at both stages, from an independent root finder."""
+    a = 1e-3 * np.array([[5 / 12, -1 / 12], [3 / 4, 1 / 4]])
+    want = fsolve(lambda w: w - u - a @ ((f - w - np.maximum(2e4 * (p + a @ w), 0.0)) / 0.5), np.full(2, u), xtol=1e-13)
+    _, plant = beside_wall(BY_NAME["radau"], 1, 1e-3, d=0.0, at=0.0)
+    assert plant.move(plant.c, p, u, f)[:2] == pytest.approx((p + (a @ want)[1], want[1]), rel=1e-9)
 
 
 # In a run
@@ -276,7 +286,7 @@ def test_without_a_branch_it_is_the_same_method_as_on_a_bond(method: Integration
 
 
 @every_known
-@pytest.mark.parametrize("d", [0.0, 10.0])
+@pytest.mark.parametrize("d", [0.0, 10.0, 2000.0])  # with the last a stage ends on the surface itself
 def test_at_a_wall_it_is_the_same_method_as_on_one_that_is_piecewise_linear(
     method: IntegrationMethod, d: float
 ) -> None:
@@ -294,6 +304,23 @@ def test_a_body_at_rest_that_friction_can_hold_stays_to_the_bit(method: Integrat
     assert ADVANCE[method.name](core, 0.3, 0.0, 1.99, 0.0, 1e-3, 7) == (0.3, 0.0)
     moved = ADVANCE[method.name](core, 0.3, 0.0, -2.5, 0.0, 1e-3, 7)
     assert moved == pytest.approx((0.3, -0.5 * 7e-3 / 0.5), rel=0.02)
+
+
+@pytest.mark.parametrize("kind", [NOTHING, WALL, BOND, HUNT_CROSSLEY])
+def test_the_second_half_of_verlets_kick_solves_its_own_equation(kind: int) -> None:
+    """`m (U - w)/tau + b U + g + friction = f`, friction of any size up to fc where the body is at rest."""
+    dice, tau, stuck = np.random.default_rng(3), 1e-3, 0
+    for _ in range(200):
+        p, w, f = dice.uniform(-1e-3, 1e-3), -0.1 + dice.uniform(-0.01, 0.01), dice.uniform(-3.0, 3.0)
+        core = (kind, 0.5, 1.0, 1e4, 10.0, 1.5, 3.0, dice.choice([0.0, 2.0]))
+        u = kicked(core, p, w, tau, f, 0.1)
+        left = f - 0.5 * (u - w) / tau - u - resistance_force(core, p, u)  # what friction must be
+        if u == -0.1:
+            stuck += 1
+            assert abs(left) <= core[7] + 1e-9
+        else:
+            assert left == pytest.approx(core[7] if u > -0.1 else -core[7], abs=1e-7)
+    assert 5 < stuck < 100
 
 
 @every_known
