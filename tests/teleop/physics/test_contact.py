@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 from teleop.analysis.precision.reference.reference import settle
 from teleop.physics.carried import Carried, carried
-from teleop.physics.contact import MOST_EVENTS, advance, falls, wall
+from teleop.physics.contact import MOST_EVENTS, advance, events, falls, wall
 from teleop.physics.implicit import Resistance, implicit_master, implicit_plant
 from teleop.physics.path import BLOCK, Blocks, Path, Speeds
 from teleop.physics.plant import MassDamper, Plant, free_space, spring_damper
@@ -132,6 +132,22 @@ def test_one_tick_is_two_halves(case: Case) -> None:
     far = abs(p) + abs(ph) + abs(p1) + dt * (abs(u) + abs(uh))
     assert abs(p1 - p2) <= 1e-12 * (1 + case.w * dt) * far
     assert abs(u1 - u2) <= 1e-12 * (1 + case.w * dt) * fast
+
+
+def test_quick_decisions_are_those_of_the_events() -> None:
+    # Touched only at the apex, or left within a tick, it is felt and let go all the same.
+    dice, quick = random.Random(13), 0
+    for _ in range(500):
+        (_, m, b, k, d, *_), p, u, f, dt = struck(dice)
+        case = Case(m, b, k, d, dt * dice.choice([1.0, 4.0]), p, u, f)
+        p1, u1, capped = step(*case)
+        p2, u2, again = events(m, b, k, d, case.dt, p, u, f)
+        assert capped == again
+        assert abs(p1 - p2) <= 1e-13 * (1 + case.w * case.dt) * (abs(p) + abs(p1) + case.dt * abs(u)), case
+        fast = abs(u) + abs(u1) + abs(f) / m * case.dt + case.w * max(p, 0.0)
+        assert abs(u1 - u2) <= 1e-13 * (1 + case.w * case.dt) * fast, case
+        quick += (p1, u1) != (p2, u2)
+    assert quick > 50
 
 
 @quiet
@@ -326,8 +342,8 @@ def noting() -> tuple[list[tuple[int, int]], Callable[[int, int], tuple[list[flo
 
 
 def test_a_path_gives_what_sampling_all_of_it_would_give_and_beyond_its_end_it_stays() -> None:
-    whole = noting()[1](0, 700)
-    for axis, path in enumerate([Path(Blocks(noting()[1]), axis, 700) for axis in (0, 1)]):
+    whole, blocks = noting()[1](0, 700), Blocks(noting()[1])
+    for axis, path in enumerate([Path(blocks, axis, 700) for axis in (0, 1)]):
         assert list(path) == whole[axis]
         assert path[3:9] == whole[axis][3:9]
         assert len(path) == 700
