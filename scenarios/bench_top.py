@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from teleop import Cap, Handover, Knob, Law, MassDamper, Operator, Refused, Scene, Watchdog, Wave, each_axis, knob
+from teleop import Cap, Handover, Knob, Law, MassDamper, Operator, Scene, Watchdog, Wave, each_axis, knob
 
 DAY = 86400.0  # s
 PerAxis = float | tuple[float, ...]
@@ -79,7 +79,7 @@ def scene(
         link=None if delay is None else constant(delay),
         watchdog=None if timeout is None else Watchdog(timeout=timeout, age=age),
         cap=each_axis(Cap.of, axes, f_max=f_max, slew=slew, v_max=v_max, power=power),
-        operator=Operator(clutch=spans("clutch", clutch), absent=spans("absent", absent), ramp=clutch_ramp,
+        operator=Operator(clutch=knob.spans("clutch", clutch), absent=knob.spans("absent", absent), ramp=clutch_ramp,
                           closes_within=closes_within, needs=needs, align=align, align_most=align_most),
         handover=None if policy is None else Handover(
             f_max=policy, Kp=policy_stiffness, energy=policy_tank, power=policy_power),
@@ -95,12 +95,3 @@ def constant(delay: float) -> Any:
     from channel import Delay
 
     return Delay(delay)
-
-
-def spans(name: str, times: Times) -> tuple[tuple[float, float], ...]:
-    """Spans (from, to) out of times that begin and end one in turn. Raises `Refused` where one has no end."""
-    times = times if isinstance(times, tuple) else (times,)
-    if len(times) % 2:
-        raise Refused(f"{name} names times in twos, from and to, and has {len(times)} of them; write for example "
-                      f"{name}=2,3 or {name}=2,3,5,6")
-    return tuple(zip(times[::2], times[1::2], strict=True))

@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Annotated
 
 from channel import Delay
-from master import Grip, Reach, Recording
-from scenarios.bench_top import spans
+from master import Grip, Reach
 from scenarios.pose import Moves, at_lever, with_gains
 from slave import Wall
-from teleop import Cap, Handover, Knob, Law, MassDamper, PositionPosition, Scene, Watchdog, knob
+from teleop import Cap, Handover, Knob, Law, MassDamper, PositionPosition, Reference, Scene, Watchdog, knob
 
 LEVER = 0.3  # m
 GAINS = {"K": 6.0, "B": 0.3, "K_d": 0.3}  # N m/rad and N m s/rad, of laws that couple positions
@@ -75,8 +74,8 @@ def scene(
         watchdog=None if timeout is None else Watchdog(timeout=timeout),
         cap=Cap.of(f_max=f_max, slew=slew),
         handover=Handover(
-            policy=Reach(to=goal, start=0.5, duration=1.5) if actions is None else Recording(path=str(actions)),
-            takes=() if takes is None else spans("takes", takes), silent=spans("silent", silent), rate=rate,
+            policy=Reach(to=goal, start=0.5, duration=1.5) if actions is None else recorded(actions),
+            takes=() if takes is None else knob.spans("takes", takes), silent=knob.spans("silent", silent), rate=rate,
             late=late, leap=leap, Kp=Kp, Bp=Bp, f_max=pull,
             slew=pull_slew, ramp=ramp, energy=tank, power=tank_power),
         observer=observer,
@@ -84,3 +83,10 @@ def scene(
         dt=dt,
         duration=duration,
     )
+
+
+def recorded(path: Path) -> Reference:
+    """The motion of a file."""
+    from master import Recording
+
+    return Recording(path=str(path))

@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_type_hints
 
 from channel import Delay
 from master import Grip, Reach
-from slave import Tissue, Wall
+from slave import Wall
 from teleop import Cap, Knob, Law, MassDamper, PositionPosition, Scene, Watchdog, knob
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -61,6 +61,8 @@ def scene(
     moves = Moves((Reach(to=(reach, 0.5 * reach, 0.0, 0.0, tilt, 0.0), start=0.3, duration=1.2),
                    Reach(to=about, start=1.5, duration=3.0),
                    Reach(to=(0.0, 0.0, 0.0, 0.0, -tilt, 0.0), start=4.5, duration=1.0)))
+    from slave import Tissue  # which other scenes that name this file's parts do not need
+
     size = lever * lever
     grips = [Grip(mass=0.4 * each, k=200.0 * each, d=5.0 * each, reference=moves) for each in (1.0, size)]
     slow = None if slew is None else slew * lever

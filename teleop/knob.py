@@ -127,3 +127,12 @@ MotorCutoff = Annotated[float, Knob("Hz", "frequency below which the electrical 
 Tolerance = Annotated[float, Knob("m", "error per tick that the integrator keeps to", above=0.0)]
 Tick = Annotated[float, Knob("s", "length of a tick", low=1e-6, high=10.0)]
 Duration = Annotated[float, Knob("s", "duration of the run", above=0.0)]
+
+
+def spans(name: str, times: float | tuple[float, ...]) -> tuple[tuple[float, float], ...]:
+    """Spans (from, to) out of times that begin and end one in turn. Raises `Refused` where one has no end."""
+    times = times if isinstance(times, tuple) else (times,)
+    if len(times) % 2:
+        raise Refused(f"{name} names times in twos, from and to, and has {len(times)} of them; write for example "
+                      f"{name}=2,3 or {name}=2,3,5,6")
+    return tuple(zip(times[::2], times[1::2], strict=True))

@@ -49,7 +49,8 @@ def scene(
     to = (amplitude, -0.6 * amplitude, 0.3 * amplitude)[:count]
     references: dict[str, Reference] = {
         "sine": Sine(amplitude=to, frequency=rate), "reach": Reach(to=to, duration=1.0 / rate), "hold": Rest(at=to)}
-    return replace(made, axes=count, playout=playout,
+    units = made.axis_units if made.axes == count else made.axis_units * count
+    return replace(made, axes=count, units=units, playout=playout,
                    hand=Grip(mass=m_h, k=k_h, d=d_h, reference=references[motion]))
 
 
@@ -167,7 +168,7 @@ def drawn(law: Any, dice: Dice, ticks: int, files: Mapping[str, list[Path]]) -> 
     return {
         "law": turned(law, dice), "link": a_link(dice, makers(run, dt, files), run), "dt": dt, "duration": run,
         "playout": "zero" if dice.random() < 0.5 else f"fixed:{dt * (1 + int(dice.integers(ticks // 3)))!r}",
-        "base": bases()[int(dice.integers(len(bases())))], "axes": 3 if dice.random() < 0.125 else 1,
+        "axes": 3 if dice.random() < 0.125 else 1,
         "motion": MOTIONS[int(dice.integers(3))], "amplitude": float(dice.uniform(-0.1, 0.1)),
         "rate": 0.5 * 20.0 ** float(dice.random()), "m_h": float(dice.uniform(0.1, 1.0)),
         "k_h": 20.0 * 50.0 ** float(dice.random()), "d_h": float(dice.uniform(0.5, 20.0)),

@@ -54,10 +54,11 @@ def many(name: str, count: int, folder: Path) -> Drawn:
 
 
 def rows_of(name: str, count: int, folder: Path) -> Rows:
-    """`count` random rows of a law; the first of them are the same, however many there are."""
+    """`count` random rows of a law over the scenes in turn; the first are the same, however many there are."""
     dice = np.random.default_rng(1)
     files = record(folder, dice)
-    return [(n, drawn(find_law(name)(), dice, TICKS, files), int(dice.integers(2**63))) for n in range(count)]
+    return [(n, {**drawn(find_law(name)(), dice, TICKS, files), "base": bases()[n % len(bases())]},
+             int(dice.integers(2**63))) for n in range(count)]
 
 
 def by_integral(rows: Rows) -> Drawn:
