@@ -190,7 +190,7 @@ class TestThePeer:
         (proof,) = first[0].receive(flight, 0)[1]
         gate.receive(proof[:40] + bytes((proof[40] ^ 1,)) + proof[41:], AT, 0)
         assert gate._begun == {}
-        gate.receive(with_cookie(gate, master(), AT, CHECKED_NS), AT, CHECKED_NS)
+        assert gate.receive(with_cookie(gate, master(), AT, CHECKED_NS), AT, CHECKED_NS)[1], "it is in the middle"
         assert let_in(gate, master(), AT, 2 * CHECKED_NS).ready
 
 

@@ -193,6 +193,7 @@ def test_who_waits_long_for_the_other_end_meets_it_and_takes_no_request_of_an_ea
         assert two.master.receive(late, SLAVE, two.now) == ([], [])
         two.run(more)
         assert two.master.ready
+        assert two.slave.ready
 
 
 def test_each_datagram_that_is_not_taken_counts_once_and_what_is_no_record_of_the_peers_raises_no_question(
