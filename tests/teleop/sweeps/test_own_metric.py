@@ -58,6 +58,7 @@ class TestOneThatRaises:
     def test_left_a_blank_cell_and_now_ends_the_sweep(self) -> None:
         words = f"metric soft_only {HERE} raised Fussy: 150.0 N/m is above 120.0, in row 2 .k_e=150.0, seed=0.; mend it"
         for engine in (None, "vector"):
+            compiler_of(engine)
             with pytest.raises(Refused, match=words) as refused:
                 sweep("soft_tissue", STIFFNESS, fixed=FIXED, metrics=["x_err_rms", soft_only], engine=engine)
             cause = refused.value.__cause__
