@@ -60,6 +60,11 @@ def scene(
     size = LEVER * LEVER
     goal = to if isinstance(to, tuple) else (to,) * axes
     along = Reach(to=tuple([0.9 * each for each in goal]), start=0.6, duration=1.6)
+    policy: Reference = Reach(to=goal, start=0.5, duration=1.5)
+    if actions is not None:
+        from master import Recording
+
+        policy = Recording(path=str(actions))
     back = () if grip is None else (Reach(to=tuple([-each - 1.0 for each in goal]), start=grip, duration=0.4),)
     return Scene(
         law=with_gains(law, GAINS, lambda law: at_lever(law, LEVER)),
@@ -74,19 +79,11 @@ def scene(
         watchdog=None if timeout is None else Watchdog(timeout=timeout),
         cap=Cap.of(f_max=f_max, slew=slew),
         handover=Handover(
-            policy=Reach(to=goal, start=0.5, duration=1.5) if actions is None else recorded(actions),
-            takes=() if takes is None else knob.spans("takes", takes), silent=knob.spans("silent", silent), rate=rate,
-            late=late, leap=leap, Kp=Kp, Bp=Bp, f_max=pull,
+            policy=policy, takes=() if takes is None else knob.spans("takes", takes),
+            silent=knob.spans("silent", silent), rate=rate, late=late, leap=leap, Kp=Kp, Bp=Bp, f_max=pull,
             slew=pull_slew, ramp=ramp, energy=tank, power=tank_power),
         observer=observer,
         energy=energy,
         dt=dt,
         duration=duration,
     )
-
-
-def recorded(path: Path) -> Reference:
-    """The motion of a file."""
-    from master import Recording
-
-    return Recording(path=str(path))

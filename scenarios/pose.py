@@ -57,12 +57,12 @@ def scene(
     duration: knob.Duration = 7.0,
 ) -> Scene:
     """A hand moves a tool to a wall while it tilts it, turns it against a torsion spring and tilts it back."""
+    from slave import Tissue  # not at the top: handover takes parts of this file and has no tissue
+
     about = (0.0, 0.0, 0.0, 2.0 * pi * turns * sin(tilt), 0.0, 2.0 * pi * turns * cos(tilt))
     moves = Moves((Reach(to=(reach, 0.5 * reach, 0.0, 0.0, tilt, 0.0), start=0.3, duration=1.2),
                    Reach(to=about, start=1.5, duration=3.0),
                    Reach(to=(0.0, 0.0, 0.0, 0.0, -tilt, 0.0), start=4.5, duration=1.0)))
-    from slave import Tissue  # which other scenes that name this file's parts do not need
-
     size = lever * lever
     grips = [Grip(mass=0.4 * each, k=200.0 * each, d=5.0 * each, reference=moves) for each in (1.0, size)]
     slow = None if slew is None else slew * lever

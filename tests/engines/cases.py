@@ -186,16 +186,13 @@ def handed_over(policy: bool = True, axes: int = 1, motor: bool = True, **parts:
 
 
 def indexed() -> list[Scene]:
-    """A way and a rotation whose clutch opens by parts, whose scale is changed and whose arm is aligned."""
-    hand = Grip(mass=0.001, k=2.0, d=0.05, reference=Sine(amplitude=(0.01, 0.08, -0.05, 0.04), frequency=1.0))
-    return [tumbling(axes=4, rotations=(1,), hand=hand, start_s=(0.002 * n, 0.02, -0.01 * n, 0.0), duration=0.4,
-                     link=parse_link("delay(0.01) | uniform(0.005) | blackout(0.1, 0.1)"), observer=None,
-                     environment=(Wall(k=50.0, d=0.1, at=0.001), None, None, None), cap=Cap(f_max=0.015, slew=5.0),
-                     watchdog=Watchdog(timeout=0.08, ramp=0.05),
-                     operator=Operator(clutch=bouncing(n, 2), clutch_rotation=bouncing(30 + n, 3),
-                                       clutch_translation=bouncing(40 + n, 1), ramp=0.004 * (n + 1),
-                                       scales=((0.05 * (n + 1), 0.4), (0.3, 2.0 + n)), scale_ramp=0.02,
-                                       align=(0.1, 0.9, 0.9, 0.9), align_most=0.5 + n))
+    """A pose whose clutch opens by parts, whose scale is changed and whose arm begins elsewhere and is aligned."""
+    base = load_scene("pose", law="pp", duration=0.4, link="delay(0.01) | uniform(0.005) | blackout(0.1, 0.1)")
+    return [replace(base, start_s=(0.002 * n, 0.0, 0.001, 0.02, -0.01 * n, 0.0), cap=Cap(f_max=3.0, slew=300.0),
+                    operator=Operator(clutch=bouncing(n, 2), clutch_rotation=bouncing(30 + n, 3),
+                                      clutch_translation=bouncing(40 + n, 1), ramp=0.004 * (n + 1),
+                                      scales=((0.05 * (n + 1), 0.4), (0.3, 2.0 + n)), scale_ramp=0.02,
+                                      align=(0.1, 0.0, 0.2, 0.9, 0.9, 0.9), align_most=0.5 + n))
             for n in range(3)]
 
 
@@ -216,7 +213,7 @@ def bodies(environment: Callable[[float], Any], friction: float = 0.0, electrica
     return [Scene(
         law=Wave(), axes=3, master=MassDamper(mass=0.1, damping=0.5, friction=0.5 * friction),
         slave=MassDamper(mass=0.3, damping=1.0, friction=friction), environment=environment(k),
-        hand=replace(SWING, reference=Sine(amplitude=(a, 0.5 * a, -a), frequency=3.0)), energy=True, duration=0.14,
+        hand=replace(SWING, reference=Sine(amplitude=(a, 0.5 * a, -a), frequency=3.0)), energy=True, duration=0.2,
         electrical=ElectricalDamping(b=2.0, cutoff=5.0) if electrical else None,
         link=parse_link("delay(0.01) | uniform(0.01) ; delay(0.02)")) for k, a in (
             (10.0, 0.02), (300.0, 0.05), (1e3, 0.01), (1e4, 0.02), (1e9, 1e6))]

@@ -158,7 +158,7 @@ def test_a_mistake_is_refused_by_its_sentence(knobs: dict[str, Any], words: str)
 
 
 def test_a_machine_is_pushed_only_when_it_is_asked_for_gently_and_ends_at_zero() -> None:
-    """What does not say that it is simulated is taken for a machine, which nobody pushes unasked.
+    """A device that does not say that it is simulated is taken for a machine, which nobody pushes unasked.
 
     One that fails meanwhile is given zero, and one whose force outlives this process is not pushed.
     """

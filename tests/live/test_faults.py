@@ -1,4 +1,4 @@
-"""Whatever is raised, or sent as a number: no force at once, both ends stop, the record is whole."""
+"""Faults and hostile numbers: whatever is raised or sent, no force at once, both ends stop, the record is whole."""
 
 from __future__ import annotations
 

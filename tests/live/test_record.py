@@ -1,4 +1,4 @@
-"""What a live end leaves on the disk: record and inputs as they come, and after a kill, a full disk, or worse."""
+"""Files of a live end: record and inputs as they come, and after a kill, a full disk, or worse."""
 
 from __future__ import annotations
 

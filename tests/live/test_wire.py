@@ -1,4 +1,4 @@
-"""What comes through a socket: by the kernel's filter only what has the shape of ours; and datagrams by the handful."""
+"""Sockets: by the kernel's filter only what has the shape of ours; and datagrams by the handful."""
 
 from __future__ import annotations
 

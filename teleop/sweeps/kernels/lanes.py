@@ -254,7 +254,7 @@ class LaneStatements(Statements):
         return TupleParts(tuple(map(self.in_every_lane, self.parts(value))), class_of(value))
 
     def selected(self, which: Printed, here: Value, otherwise: Value) -> Value:
-        """`here` where the mask is true, else `otherwise`: numbers, or trees of the same shape."""
+        """`here` where the mask is true, else `otherwise`: numbers, or tuples of the same type."""
         if not (self.is_number(here) and self.is_number(otherwise)):
             pairs = [self.parts(here), self.parts(otherwise)]
             if len(pairs[0]) != len(pairs[1]) or class_of(here) is not class_of(otherwise):

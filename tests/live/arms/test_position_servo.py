@@ -128,7 +128,7 @@ def test_a_bus_that_carries_too_few_exchanges_is_driven_no_more_until_it_does() 
 
 
 def test_a_zero_between_two_exchanges_waited_for_the_next_and_left_a_killed_arm_pressing() -> None:
-    """Of an offset drive that is let go of the force is zero at once."""
+    """Offset drive: when it is let go of, the force is zero at once."""
     bus, arm = joint()
     for k in range(40):
         arm.read(k)

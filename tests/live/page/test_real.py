@@ -180,7 +180,7 @@ primary = "{primary}"
 contrasts = [["first condition", "other condition"]]
 '''
 NAMES = re.compile(r"\b(" + "|".join(sorted({*known_laws()} - {"direct"})) + r")\b|(first|other) condition|law\.|E_in_")
-"""What names a condition; `direct` is a word of style sheets too."""
+"""Names of conditions; `direct` is a word of style sheets too."""
 
 
 class StudySession:

@@ -260,7 +260,7 @@ def test_the_index_has_each_part_with_its_knobs_as_it_begins(tmp_path: Path) -> 
 def test_a_part_that_cannot_be_put_together_has_its_sentence_and_ctrl_c_meanwhile_leaves_the_rest_for_later(
     tmp_path: Path
 ) -> None:
-    """Of three: a whole one, one that only the master came to, one whose master's record is another file."""
+    """Three parts: a whole one, one that only the master came to, one whose master's record is another file."""
     ends = Pair(load_scene("hard_wall", duration=0.2), tmp_path / "ends", seed=1).run()
     ran = dict(zip("ms", ends.write(), strict=True))
     parts, said = PageParts(tmp_path, {"scene": "hard_wall", "seed": 0, "command": ["teleop"]}), list[str]()

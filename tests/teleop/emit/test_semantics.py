@@ -1,4 +1,4 @@
-"""What Python means and C does not, kept in printed C; and each row of the two tables of the language of a law."""
+"""Semantics of Python that C does not have, kept in printed C; and each row of both tables of a law's language."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a law offers beside its ends: the energy that it keeps, its conditions, what it is to the analyses."""
+"""Offers of a law beside its ends: the energy that it keeps, its conditions, what it is to the analyses."""
 
 # ruff: noqa: ARG001, ARG005 - an end takes what it is given, used or not
 

@@ -103,7 +103,7 @@ def test_fitted_to_the_facts_it_has_the_least_damping_that_breaks_no_condition(l
     fitted = law.fitted(facts)
     assert fitted.conditions(facts) == ()
     assert fitted.B > law.B
-    assert replace(fitted, B=0.99 * fitted.B).conditions(facts)
+    assert replace(fitted, B=0.999 * fitted.B).conditions(facts)
     assert replace(law, B=500.0).fitted(facts).B == 500.0
     silent = facts._replace(fwd=None)
     assert law.fitted(silent).B == law.B

@@ -1,4 +1,4 @@
-"""What an end may not act on: an outage one way, a standstill that it did not notice, messages that are too old."""
+"""Messages that an end may not act on: in an outage one way, after a standstill unnoticed, or too old."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def test_any_text_can_be_sent_as_a_reason(text: str) -> None:
 
 
 def test_each_cause_is_named() -> None:
-    """What is not among the vectors: the bounds themselves, and numbers that are not finite at every place."""
+    """Cases that are not among the vectors: the bounds themselves, and numbers that are not finite at every place."""
     data = encode(LARGEST, 128)
     for bad, cause in (
             (data[:-1], Rejection.CHECKSUM), (data + b"\0", Rejection.CHECKSUM),  # only the padding was cut

@@ -117,7 +117,7 @@ def box(mine: int, theirs: int, playout: Playout = ZERO) -> tuple[Resampling, In
 
 
 def played(end: tuple[Resampling, Inbox[Heard]], sent: list[float], theirs: int) -> list[float]:
-    """What is played of samples that were sent at every `theirs`-th tick and took one tick; nothing is 0."""
+    """Messages played of samples that were sent at every `theirs`-th tick and took one tick; nothing is 0."""
     rates, inbox = end
     out, last = [], -1
     for j in range((len(sent) - 1) * theirs + 1 + 3 * max(theirs, rates.mine)):

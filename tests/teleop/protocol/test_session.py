@@ -206,7 +206,7 @@ def test_a_running_session_is_not_taken_over_while_it_is_heard_nor_moved_by_a_se
 
 
 def test_a_second_master_waits_until_the_first_has_been_silent() -> None:
-    """Of messages: a recorded START or WELCOME of the session proves nobody's presence."""
+    """Messages alone: a recorded START or WELCOME of the session proves nobody's presence."""
     slave = started(Session(master=False, manifest=MANIFEST), 1, 0)
     assert slave.receive(hello(200), RENEW_NS // 2) == []
     assert slave.receive(hello(200, {"scene": "other"}), RENEW_NS // 2) == []  # nor can it stop the slave

@@ -236,7 +236,7 @@ def scene_of(row: dict[str, Any], mirror: float = 1.0) -> Scene:
 
 
 def scene_of_ends(row: dict[str, Any], mirror: float) -> Scene:
-    """That of two ends over a link."""
+    """Scene of two ends over a link."""
     dt = round(row["dt"] * 1e9) / 1e9
     span, side, at = TICKS * dt, mirror * row["side"], mirror * row["at"]
     start = at + side * row["start"]
@@ -286,7 +286,7 @@ def playout_of(row: dict[str, Any], dt: float) -> Any:
 
 
 def scene_of_bodies(row: dict[str, Any], mirror: float) -> Scene:
-    """That of a plant or a display."""
+    """Scene of a plant or a display."""
     dt, ticks = round(row["dt"] * 1e9) / 1e9, ticks_of(row)
     span = ticks * dt
     side = mirror * row.get("side", 1.0)
@@ -372,7 +372,7 @@ class Case:
 
     @property
     def device(self) -> Device:
-        """What stands between the master and its law."""
+        """Device between the master and its law."""
         return self.scene.device_m or Device()
 
     def axes(self, *names: str) -> list[np.ndarray]:

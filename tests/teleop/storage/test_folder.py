@@ -67,7 +67,7 @@ class TestAClaim:
 
 def test_the_loser_of_two_that_started_at_once_deleted_the_record_of_the_winner(
         monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 1,500 pairs 270 did. It is refused, or takes the next number."""
+    """Race of two starts: 270 of 1,500 pairs did. One is refused, or takes the next number."""
     make = Path.mkdir
 
     def mkdir(path: Path, *args: int) -> None:

@@ -102,7 +102,7 @@ class TestTables:
             run(load_scene("hard_wall", duration=0.01), bodies=row["name"].replace("N", "2"))
 
     def test_playouts_are_what_their_knob_takes(self, typed: Typed) -> None:
-        """What the list claims of them: tests/scenarios/test_random_links.py."""
+        """Their claims: tests/scenarios/test_random_links.py."""
         rows = json.loads(typed("list", "playout", "--json").out)["playout"]
         words = {"SECONDS": "0.1", "TARGET": "0.01", "RATE": "0.1", "GAPS": "integral"}
         typed_as = [re.sub("[A-Z]+", lambda found: words[found[0]], row["name"]) for row in rows]

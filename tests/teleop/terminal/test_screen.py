@@ -1,4 +1,4 @@
-"""What a person sees on a terminal: colours, folded facts, progress; and nothing changed elsewhere."""
+"""Terminal as a person sees it: colours, folded facts, progress; and nothing changed elsewhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person does on the page, served by a mock or as it is served; what is lost is said, and that it came back."""
+"""A person's actions on the page, served by a mock or as it is served; what is lost is said, and that it came back."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def test_raven_the_good_packet_after_a_gap_is_played_as_long_as_the_session_live
 
 @pytest.mark.parametrize("playout", PLAYOUTS, ids=str)
 def test_raven_one_huge_sequence_number_does_not_block_what_follows(playout: Any) -> None:
-    """Of this session and well made: it is not played, and whatever honest comes after it is, from the next tick on.
+    """A well-made message of this session: it is not played, and honest ones after it are, from the next tick on.
 
     Nor of ends that step together, which are never two ticks apart.
     """
