@@ -107,7 +107,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=[*left_out])
 
 
-class ByFile(LoadScopeScheduling):  # type: ignore[misc]  # it has no types
+class ByFile(LoadScopeScheduling):  # it has no types
     """A file goes to one worker, all that are timed to the same."""
 
     def _split_scope(self, nodeid: str) -> str:

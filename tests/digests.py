@@ -120,18 +120,18 @@ def of_command(line: str) -> str:
 def cases(tick: bool, duration: float) -> Iterator[tuple[str, Callable[[], str]]]:
     """Every case, and what works its digest out."""
     for name, scene, knobs, seed in plain_cases(duration):
-        yield f"run: {name}", lambda scene=scene, knobs=knobs, seed=seed: of_run(scene, knobs, seed)  # type: ignore[misc]
+        yield f"run: {name}", lambda scene=scene, knobs=knobs, seed=seed: of_run(scene, knobs, seed)
         if tick:
-            yield f"tick: {name}", lambda scene=scene, knobs=knobs: of_tick(scene, knobs)  # type: ignore[misc]
+            yield f"tick: {name}", lambda scene=scene, knobs=knobs: of_tick(scene, knobs)
     rows = [*[(name, name, {}) for name in IN_SWEEPS], *[
         (f"hard_wall {name}", "hard_wall", knobs) for name, knobs in KNOBS.items() if name != "coarse"]]
     rows += [(f"law {law}", "canonical", {"law": law, "link": ROUGH}) for law in LAWS]
     for name, scene, knobs in rows:
         for engine in ("plain", "c", "vector"):
-            yield f"sweep: {name}, {engine}", lambda scene=scene, knobs=knobs, engine=engine: of_sweep(  # type: ignore[misc]
+            yield f"sweep: {name}, {engine}", lambda scene=scene, knobs=knobs, engine=engine: of_sweep(
                 scene, knobs, engine)
     for line in COMMANDS:
-        yield f"command: {line}", lambda line=line: of_command(line)  # type: ignore[misc]
+        yield f"command: {line}", lambda line=line: of_command(line)
 
 
 def main() -> int:

@@ -85,7 +85,7 @@ def test_every_public_module_class_and_function_has_a_docstring() -> None:
                 documented = isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef)
                 # NamedTuples of numbers say what each number is beside the number.
                 fields_only = isinstance(node, ast.ClassDef) and all(isinstance(n, ast.AnnAssign) for n in node.body)
-                if documented and not fields_only and ast.get_docstring(node) is None:  # type: ignore[arg-type]
+                if documented and not fields_only and ast.get_docstring(node) is None:
                     bare.append(f"{path.relative_to(ROOT)}: {getattr(node, 'name', 'module')}")
     assert bare == []
 
@@ -111,7 +111,7 @@ def words() -> dict[str, list[str]]:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module):
                 first = re.match(r"\w*", ast.get_docstring(node) or "")
                 hits["docstring"] += [place] * (first is not None and first[0].lower() in WEAK_FIRST)
-            if is_function and PARTICIPLE.fullmatch(node.name):  # type: ignore[attr-defined]
+            if is_function and PARTICIPLE.fullmatch(node.name):
                 hits["function"].append(place)
             if isinstance(node, ast.ClassDef) and node.name not in ("Forth", "Back"):  # each law has its own two
                 classes.setdefault(node.name, []).append(place)

@@ -54,7 +54,7 @@ class Site:
     def __init__(self, **how: Any) -> None:
         self.near, self.far, self.ports = NoWire(None), NoWire(SLAVE), list[NoWire]()
         wires: Any = self.near, self.far
-        self.router = Router(SCENE, SEED, *wires, port=self._port, close=NoWire.close,  # type: ignore[arg-type]  # no wires
+        self.router = Router(SCENE, SEED, *wires, port=self._port, close=NoWire.close,  # no wires
                              secret=bytes(32),
                              **how)
         self.now = 10**12  # ns, of a clock that has been running

@@ -67,7 +67,7 @@ def test_what_is_offered_for_an_effect_can_be_typed(recordings: Path) -> None:
         text = text.replace("runs/hard_wall-1", str(recordings / "live"))
         effect = parse_link(text)
         assert describe(effect).startswith(f"{name}(")
-        knobs = [knob.name for knob in fields(effect) if knob.init]  # type: ignore[arg-type]  # all are dataclasses
+        knobs = [knob.name for knob in fields(effect) if knob.init]  # all are dataclasses
         assert text.count(",") == max(len(knobs) - 1, 0), name
 
 
@@ -116,7 +116,7 @@ def test_a_path_may_hold_what_separates_effects_and_needs_no_quotes(
     awkward = recordings / 'a ; b | c "d".txt'
     awkward.write_text((recordings / "trace").read_text())
     link = parse_link(f"delay(0.1) ; mahimahi({str(awkward)!r}, queue=7)")
-    assert link.bwd.path == str(awkward)  # type: ignore[union-attr]
+    assert link.bwd.path == str(awkward)
     assert parse_link(describe(link)) == link
     monkeypatch.chdir(tmp_path)
     Path("log.txt").write_text((recordings / "ping").read_text())

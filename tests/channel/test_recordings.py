@@ -135,7 +135,7 @@ BROKEN: list[tuple[Callable[[Path], object], str]] = [
     (lambda at: Recorded(str(at.parent)), "is no folder of a live run"),
     (lambda at: Recorded(str(at / "nowhere")), "is no folder of a live run"),
     (lambda at: Recorded(str(at / "slave"), str(at / "master")), "give the master's folder first"),
-    (lambda at: Recorded(str(at), left_out=1), "left_out must be True or False"),  # type: ignore[arg-type]
+    (lambda at: Recorded(str(at), left_out=1), "left_out must be True or False"),
     (lambda at: Recorded(str(at), digest="0"), "has the digest .*, not '0'"),
     (lambda at: ((at / "slave" / "arrivals.bin").unlink(), Recorded(str(at))), "holds no arrivals.bin to run again"),
     (lambda at: (spoiled(at / "slave" / "arrivals.bin", version=9), Recorded(str(at))), "is of version 9"),

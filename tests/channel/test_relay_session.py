@@ -124,7 +124,7 @@ def test_its_own_master_may_ask_anew_and_the_next_session_has_a_link_of_its_own_
     site.run(8)
     site.meet(9)
     for way, kind, sender in ((0, Kind.FORTH, MASTER), (1, Kind.BACK, SLAVE)):
-        drawn = turned.link.arrivals(way, 40, MS, SEED, 100).packet.tolist()  # type: ignore[union-attr]
+        drawn = turned.link.arrivals(way, 40, MS, SEED, 100).packet.tolist()
         assert [k for k in range(40) if site.takes(site.session(9)(kind, k), sender)] == drawn, "by seed and number"
         counts = site.router.counts(way)
         assert (counts.lost, counts.received) == (40 - len(drawn), counts.delivered + 40 - len(drawn))

@@ -67,7 +67,7 @@ def test_a_demo_ends_with_a_table_and_a_folder(demo_run: Demo) -> None:
         assert counts.received + counts.lost + counts.in_flight == counts.sent
     for end in ("master", "slave"):
         assert (demo_run.folder / end / "record.bin").is_file()
-        assert {"late_us", "delay", "rtt", "clock"} <= set(got.extra[end])  # type: ignore[arg-type]
+        assert {"late_us", "delay", "rtt", "clock"} <= set(got.extra[end])
 
 
 @pytest.mark.parametrize("knobs", [

@@ -52,7 +52,7 @@ def process(runtime: Path) -> Iterator[Start]:
         how = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE,
                "env": {**os.environ, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(runtime)}}
         if popen is None:
-            started.append(subprocess.Popen([sys.executable, *words[1:]], text=True, **how))  # type: ignore[call-overload]
+            started.append(subprocess.Popen([sys.executable, *words[1:]], text=True, **how))
         else:
             started.append(popen(*words, **how))
         return started[-1]

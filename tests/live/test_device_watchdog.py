@@ -151,7 +151,7 @@ def test_a_force_that_comes_through_after_the_watchdog_acted_is_taken_back_at_on
 
     bench.arm.holds = meanwhile(stand_still)
     if not seen:
-        bench.watching._zero = lambda: None  # type: ignore[assignment] # and its zero was overwritten
+        bench.watching._zero = lambda: None  # and its zero was overwritten
     with pytest.raises(DeviceError, match="taken over"):
         bench.watched.hold(ONE)
     assert bench.arm.force == ZERO
@@ -279,7 +279,7 @@ def test_whatever_stands_still_for_however_long_no_force_outlives_its_deadline_a
             elif what == "both":
                 bench.ms += ms
             else:
-                bench.arm.holds = meanwhile(lambda ms=ms: bench.look(ms))  # type: ignore[misc]
+                bench.arm.holds = meanwhile(lambda ms=ms: bench.look(ms))
                 tick(ONE)
                 bench.arm.holds = None
         assert bench.words[ACKED] <= bench.words[FIRED]

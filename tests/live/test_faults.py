@@ -256,7 +256,7 @@ def test_a_fault_whose_own_text_cannot_be_had_has_a_sentence() -> None:
 
     assert fault_sentence(Nameless()) == "the live loop raised Nameless"
     with pytest.raises(AttributeError) as caught:
-        Endpoint.tick(None, 0, 0, None)  # type: ignore[arg-type]
+        Endpoint.tick(None, 0, 0, None)
     assert fault_sentence(caught.value).startswith("the law raised AttributeError: ")
 
 

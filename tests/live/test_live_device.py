@@ -102,7 +102,7 @@ def test_a_device_that_reads_ints_and_float32_is_heard_by_the_other_end_and_that
     """The other end took its messages for malformed, dropped them all, and told of silence."""
     def coarse(_k: int, now: Reading) -> Any:
         x, v, f, *_ = now
-        return Reading(tuple(map(np.float32, x)), tuple(np.float32(n) if n else 0 for n in v), f)  # type: ignore[misc]
+        return Reading(tuple(map(np.float32, x)), tuple(np.float32(n) if n else 0 for n in v), f)
 
     both, folders = run_with(pair, SCENE, m=Body(inner=SimulatedMaster(SCENE), reads=coarse, deadline=None))
     slave = both.shells["s"].endpoint
@@ -231,7 +231,7 @@ def test_two_machines_of_ones_own_run_live_with_a_clutch_and_again_to_the_bit(pa
     ends = [read_end(folder, scene) for folder in folders]
     assert [difference(end, scene) for end in ends] == [None, None]
     live, columns = ends[0].record, ends[0].header["columns"][len(OWN):]
-    table = live.rows.table(0, len(live.ticks))  # type: ignore[union-attr]  # a record that was read has rows
+    table = live.rows.table(0, len(live.ticks))  # a record that was read has rows
     for zero, ticks, f, g, clutch in (  # from the first of the ticks with a modulus of 0, or by the last
         (0, np.arange(scene.ticks), *[stepped.trace[name] for name in names]),
         (-1, np.asarray(live.ticks), *[table[:, columns.index(name)] for name in names]),

@@ -44,7 +44,7 @@ class OtherName(NoHold):
 
 
 class TakesNothing(Robot):
-    def read(self) -> Reading:  # type: ignore[override]
+    def read(self) -> Reading:
         return Reading((0.0,), (0.0,))
 
 
@@ -90,7 +90,7 @@ def test_what_is_no_device_was_a_traceback_or_ended_a_session_that_had_begun(mak
 
 
 class Wrapped(Robot):
-    read = None  # type: ignore[assignment]
+    read = None
 
     def __init__(self, scene: object) -> None:
         self.read = partial(Robot.read, self)
@@ -158,8 +158,8 @@ def test_a_built_in_robot_is_opened_by_its_name_and_a_file_of_ones_own_by_its_cl
     file = tmp_path / "arm.py"
     file.write_text(ARM)
     assert find_device("m", str(file)).open(SCENE).read(0) == Reading((0.5,), (0.0,))
-    assert find_device("m", f"{file}:Arm:/dev/ttyACM0").open(SCENE).port == "/dev/ttyACM0"  # type: ignore[attr-defined]
-    assert find_device("s", f"{file}:Arm").open(SCENE).port == "none"  # type: ignore[attr-defined]
+    assert find_device("m", f"{file}:Arm:/dev/ttyACM0").open(SCENE).port == "/dev/ttyACM0"
+    assert find_device("s", f"{file}:Arm").open(SCENE).port == "none"
 
 
 ONE = load_scene("hard_wall", duration=1.0, delay=0.01)
@@ -378,10 +378,10 @@ def test_what_is_no_number_is_refused_at_first_and_no_reading_later(wrong: Any) 
 
 def test_a_device_that_reads_something_else_is_told_so_at_once_and_how_to_write_it() -> None:
     cases: list[tuple[int, Any, str]] = [
-        (1, Reading(0.0, 0.0, None), r"Reading\(\(x,\), \(v,\), None\)"),  # type: ignore[arg-type]
+        (1, Reading(0.0, 0.0, None), r"Reading\(\(x,\), \(v,\), None\)"),
         (1, ((0.0,), (0.0,), None), "tuple"), (1, None, "gave None"), (1, Reading((0.0,), (0.0, 0.0), None), "here 1"),
         (3, Reading((0.0,) * 3, (0.0,) * 3, (0.0,)), r"Reading\(\(x, x2, x3\), \(v, v2, v3\), "),
-        (1, Reading(*X, clutch="open"), "clutch=True"),  # type: ignore[arg-type]
+        (1, Reading(*X, clutch="open"), "clutch=True"),
     ]
     for axes, wrong, words in cases:
         with pytest.raises(Refused, match=words):

@@ -245,7 +245,7 @@ def test_what_an_end_counted_before_the_other_was_started_again_is_not_told_of_t
     whole = end_of(tmp_path / "s", "s", range(1000), LONG, counted=990)
     result = merge(SCENE, anew, whole)
     assert (result.status, result.ticks, result.packets) == ("ok", 280, {})
-    master, slave = (dict(result.extra[name]) for name in ("master", "slave"))  # type: ignore[call-overload]  # mappings
+    master, slave = (dict(result.extra[name]) for name in ("master", "slave"))  # mappings
     assert [event["what"] for event in master["events"]] == ["joined", "session", "met"]
     assert slave["events"] == []
     assert (master["skipped"], slave["skipped"]) == (0, 0)
@@ -256,7 +256,7 @@ def test_what_two_ends_counted_that_ran_together_is_told(tmp_path: Path) -> None
     ends = [end_of(tmp_path / e, e, range(1000 - late), [MET], counted=990) for e, late in (("m", 0), ("s", 40))]
     result = merge(SCENE, *ends)
     assert (result.packets["fwd"].sent, result.packets["bwd"].received) == (990, 990)
-    assert dict(result.extra["slave"])["lost"] == 700  # type: ignore[call-overload]  # a mapping
+    assert dict(result.extra["slave"])["lost"] == 700  # a mapping
     assert not any("without the other" in note for note in result.notes)
 
 

@@ -147,7 +147,7 @@ def test_a_stall_skips_whole_ticks_also_at_the_very_end_and_says_how_many(pair: 
 # Other senders
 
 
-class Open(wire_of()):  # type: ignore[misc]  # a class that is made
+class Open(wire_of()):  # a class that is made
     """A system that does not keep strangers out."""
 
     def keep_to_peer(self, shapes: Any = ()) -> None:

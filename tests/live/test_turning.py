@@ -96,7 +96,7 @@ class Story:
         since = run.now()
         for e in "ms":
             self.clutch[f"open {e}"] = run.event(e, lambda event: event["event"] == "live", since[e])["k"]
-            quiet = run.event(e, lambda event, e=e: event["event"] == "live" and (  # type: ignore[misc]  # a lambda
+            quiet = run.event(e, lambda event, e=e: event["event"] == "live" and (  # a lambda
                 event["k"] > self.clutch[f"open {e}"] + 200), since[e])
             self.clutch[f"close {e}"] = quiet["k"]
             assert quiet["f"] == 0.0
@@ -115,7 +115,7 @@ class Story:
         followers = [GrowingRecord(folder / end, IDLE) for end in ENDS.values()]
         self.followed = [0, 0]
         for i, one in enumerate(followers):
-            until(lambda i=i, one=one: self._follow(i, one) > 100, "no row can be followed")  # type: ignore[misc]
+            until(lambda i=i, one=one: self._follow(i, one) > 100, "no row can be followed")
             one.close()
 
     def _follow(self, i: int, one: GrowingRecord) -> int:
@@ -348,7 +348,7 @@ def test_a_page_hands_over_each_action_once_and_the_switch_as_it_was_left(tmp_pa
         assert page.read() == PolicyWord(False, (0.3, 0.4))
         for action in ((0.1,), (float("nan"), 0.0), "ab"):
             with pytest.raises(Refused):
-                writer.send(action)  # type: ignore[arg-type]
+                writer.send(action)
         assert page.read() is None
         writer._words[0] += 1  # somebody is writing
         assert page.read() is None

@@ -368,7 +368,7 @@ def test_one_read_of_a_service_that_sends_without_pause_did_not_come_back(
         unit = b"\x81\x7e" + len(text).to_bytes(2, "big") + text
     elif unit == b"\x01\x00":
         unit = b"\x01\x00" + b"\x00\x00" * 1000  # a first part, and empty ones
-    flood = link._sock = Flood(link._sock, unit)  # type: ignore[assignment]
+    flood = link._sock = Flood(link._sock, unit)
     said: list[str] = []
     for _ in range(100):
         before = flood.given

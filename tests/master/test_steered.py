@@ -166,7 +166,7 @@ def test_no_order_makes_the_force_of_the_hand_or_its_reference_jump(order: str) 
         assert bends <= 3.0 * ALIGNING * 1e-3 * MOST_SPEED * 1e-3, first
         assert force <= 0.6, (first, "newtons; a jump of the reference by 1 mm makes it more than 1")
     device._r = [device._r[0] + 1e-3]  # which this test would see
-    assert abs(device.read(400).f[0] - seen[-1][3]) > 1.0  # type: ignore[index]
+    assert abs(device.read(400).f[0] - seen[-1][3]) > 1.0
 
 
 def test_a_hand_that_lets_go_has_no_force_soon_and_drives_nothing() -> None:
@@ -291,10 +291,10 @@ def test_a_place_with_other_axes_or_out_of_reach_or_a_swing_that_is_none_is_refu
     for order in (device.steer, device.align):
         for wrong in ([0.1, 0.2], [], 0.1, "0", {"x": 1.0}):
             with pytest.raises(Refused, match=axes):
-                order(wrong)  # type: ignore[operator]
+                order(wrong)
         for place in (nan, inf, -inf, "x", None, True, 10.1, -1e300):
             with pytest.raises(Refused, match=r"to\[0\] must be|10 m from 0"):
-                order([place])  # type: ignore[operator]
+                order([place])
     swings: tuple[Any, ...] = ([nan], [11.0], [0.01, 0.02], "far")
     for swing in swings:
         with pytest.raises(Refused):
@@ -411,7 +411,7 @@ def test_a_full_disk_ends_the_record_and_not_the_motion(tmp_path: Path) -> None:
     device.record(tmp_path)
     assert device._writer is not None
     device._writer._file.close()
-    device._writer._file = Full()  # type: ignore[assignment]
+    device._writer._file = Full()
     assert device.read(600) == other.read(600)
     assert device.trouble == "the record of the hand stopped at row 16: No space left on device"
     device.record(None)

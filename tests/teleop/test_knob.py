@@ -48,7 +48,7 @@ def test_the_fields_that_are_given_are_the_knobs_of_a_part() -> None:
 def test_a_part_with_a_type_that_cannot_be_found_has_knobs_that_declare_nothing() -> None:
     @dataclass(frozen=True)
     class Odd:
-        K: Nowhere = 1.0  # type: ignore[name-defined]  # noqa: F821
+        K: Nowhere = 1.0  # noqa: F821
 
     assert knobs_of_fields(Odd) == {"K": Declared("Nowhere", 1.0, UNDECLARED)}
 

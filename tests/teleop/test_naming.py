@@ -13,7 +13,7 @@ def test_a_text_makes_the_part_that_it_names() -> None:
             ("low_pass(cutoff=25)", LowPass(cutoff=25.0)), (" levant( L = 2.5 ) ", Levant(L=2.5)),
             ("end_fit(noise=1e-5, most=9)", EndFit(noise=1e-5, most=9))):
         assert ESTIMATORS.read(text) == part
-        assert load_scene("virtual_wall", velocity=text).device_m.velocity == part  # type: ignore[union-attr]
+        assert load_scene("virtual_wall", velocity=text).device_m.velocity == part
     for name in ESTIMATORS.places:
         made = find(ESTIMATORS.word, ESTIMATORS.group, ESTIMATORS.places, name)
         assert type(ESTIMATORS.read(ESTIMATORS.examples[name])) is made, name

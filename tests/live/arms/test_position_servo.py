@@ -29,7 +29,7 @@ class SteppedBus:
     def __init__(self, scene: Scene) -> None:
         dt = scene.dt_ns / 1e9
         self.servos: tuple[Servo, ...] = scene.per_axis("slave")
-        self.plants = [servo.slave_plant(dt, None if one is None else one.resistance())  # type: ignore[union-attr]  # each of them has one
+        self.plants = [servo.slave_plant(dt, None if one is None else one.resistance())  # each of them has one
                        for servo, one in zip(self.servos, scene.environments, strict=True)]
         starts = [servo.start(dt, at) for servo, at in zip(
             self.servos, scene.vector("start_s", scene.start_s), strict=True)]
@@ -156,7 +156,7 @@ def test_a_bus_without_a_watchdog_and_wrong_servos_are_refused() -> None:
         PositionServo(bus, Servo(K=500.0, damping=0.1), scene.dt, unwatched=True)
     opened: list[SteppedBus] = []
     with pytest.raises(Refused, match=r"the slave of scene bench_top is no Servo; take .* servo_arm, or turn it round"):
-        position_arm(load_scene("bench_top"), "s", lambda: opened.append(bus) or bus, "turn it round")  # type: ignore[func-returns-value]
+        position_arm(load_scene("bench_top"), "s", lambda: opened.append(bus) or bus, "turn it round")
     assert not opened
     with pytest.raises(Refused, match="has no watchdog"):
         position_arm(scene, "s", lambda: bus, "")

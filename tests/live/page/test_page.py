@@ -319,7 +319,7 @@ def test_a_law_is_judged_anew_after_a_turn_and_a_turn_is_no_warning_and_on_a_ful
             assert (await browser.until("hello"))["law"] == "wave"
             await browser.until("rows")
         page.page._shaking.shakes = True
-        page.page._shaking.sentence = lambda *_: None  # type: ignore[method-assign]  # in place of the rule
+        page.page._shaking.sentence = lambda *_: None  # in place of the rule
         await browser.until("status", lambda status: status["shakes"])
         await browser.say("turn", law="pp")
         await browser.told("Switched to pp, 50 ms each way")

@@ -122,7 +122,7 @@ def _is_what_the_sensor_felt(folder: Path, r: np.ndarray[Any, Any]) -> None:
     assert len(follows) > 200
     x, v, f, felt = (np.asarray(own[name]) for name in ("x_m", "v_m", "f_m", "f_h"))
     c, at = master_coefficients(scene_of(folder))[0], k[follows]
-    again = grip_force(c, x[follows], v[follows], f[follows - 1], r[at], (r[at] - r[at - 1]) / 1e-3)  # type: ignore[arg-type]  # rows at once
+    again = grip_force(c, x[follows], v[follows], f[follows - 1], r[at], (r[at] - r[at - 1]) / 1e-3)  # rows at once
     np.testing.assert_allclose(again, felt[follows], rtol=0.0, atol=1e-12)  # N, of up to 10; the rest is rounding
 
 

@@ -160,7 +160,7 @@ SLIPS: list[tuple[dict[str, Any], str]] = [  # those that every scene finds are 
     ({"master": lambda s, at, rx: (math.sqrt(at.x), X(at.x), s)}, "raised ValueError.*range"),
     ({"master": lambda s, at, rx: (float(round(at.x)), X(at.x), s)}, "raised (OverflowError|ValueError)"),
     ({"slave": lambda s, at, rx: ((rx.x - at.x) / (at.span - 2.0 * at.dt), F(at.f), s)}, "slave .*ZeroDivisionError"),
-    ({"master": lambda s, at, rx: (gone, X(at.x), s)}, "NameError: .*; mend that line$"),  # type: ignore[name-defined] # noqa: F821
+    ({"master": lambda s, at, rx: (gone, X(at.x), s)}, "NameError: .*; mend that line$"),  # noqa: F821 - a name that is not there
     ({"master_sums": lambda s, at, rx: S(1), **SUMMED}, "returns the sums with y=1 of type int"),
     ({"master_sums": lambda s, at, rx: 1.0, **SUMMED}, "returns the sums 1.0 of type float; make it a NamedTuple"),
     ({"claims": frozenset({"E_link"})}, r"claims is frozenset\(\{'E_link'\}\); write claims: ClassVar"),
@@ -377,8 +377,8 @@ def test_trials_are_the_same_every_time_and_of_every_kind() -> None:
     assert {scene.axes for scene in one} == {1, 3}
     assert {scene.observer for scene in one} == {None, 200.0}
     assert len({scene.link for scene in one}) == len(one)
-    assert any(scene.link.loss == 0.0 for scene in one)  # type: ignore[union-attr]
-    assert any(scene.link.loss > 0.3 for scene in one)  # type: ignore[union-attr]
+    assert any(scene.link.loss == 0.0 for scene in one)
+    assert any(scene.link.loss > 0.3 for scene in one)
 
 
 def test_the_spread_is_even_and_never_reaches_one() -> None:

@@ -108,7 +108,7 @@ def test_a_record_that_grows_comes_without_gap_or_double(tmp_path: Path, receive
             until(lambda: len(receiver.datagrams) > 0)
             seen = len(receiver.datagrams)
             end.add(range(start, start + 38))
-            until(lambda seen=seen: len(receiver.datagrams) > seen)  # type: ignore[misc]
+            until(lambda seen=seen: len(receiver.datagrams) > seen)
     finally:
         end.close()
         claimed.close()

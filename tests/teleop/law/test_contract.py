@@ -207,7 +207,7 @@ def test_a_mistake_has_one_sentence_wherever_the_law_is_run(mistake: str, file: 
     listens, peer = ("--listen", "127.0.0.1:0"), ("--peer", "127.0.0.1:9")
     for main, *arguments in ((teleop, "run", "mine.py"), (teleop, "sweep", "mine.py", "--seeds", "2"),
                              (teleop, "demo", "mine.py"), (slave, "mine.py", *listens), (master, "mine.py", *peer)):
-        assert typed(main, *arguments) == (2, f"teleop: {sentence}\n")  # type: ignore[arg-type]  # they are texts
+        assert typed(main, *arguments) == (2, f"teleop: {sentence}\n")  # they are texts
     assert not Path("runs").exists()
 
 

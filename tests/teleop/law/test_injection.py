@@ -89,7 +89,7 @@ class TestConditions:
         for changes, least in (({"damping_m": 6.0, "damping_s": 6.0}, "14.4"),
                                ({"damping_m": nan, "damping_s": nan}, "20.4"),
                                (ragged, "28.4")):  # 400 (0.14 + 0.002)/2
-            (told,) = injection.conditions("P+d", CONSTANT._replace(**changes), 400.0, 0.0, 0.0)  # type: ignore[arg-type]
+            (told,) = injection.conditions("P+d", CONSTANT._replace(**changes), 400.0, 0.0, 0.0)
             assert f"law.B={least} is" in told
 
     def test_a_damper_over_the_link_takes_a_constant_delay_and_with_no_message_one_way_none_is_enough(self) -> None:

@@ -213,8 +213,8 @@ def test_a_master_that_took_hold_again_pulled_the_hand_by_a_spring_that_nobody_h
 def test_an_offset_that_waves_alone_keep_for_ever_is_gone() -> None:
     """Waves that are lost leave the slave behind, 10 % played as zero; at rest again the positions meet."""
     scene = load_scene("free_motion", link="delay(0.05) | bernoulli(0.2)", playout=Zero(), duration=12.0)
-    reach = replace(load_scene("hard_wall").hand, reference=replace(  # type: ignore[type-var]  # a grip
-        load_scene("hard_wall").hand.reference, to=0.05))  # type: ignore[union-attr]
+    reach = replace(load_scene("hard_wall").hand, reference=replace(  # a grip
+        load_scene("hard_wall").hand.reference, to=0.05))
     ends = {}
     for law in (Wave(), WavePosition()):
         trace = run(replace(scene, hand=reach, law=law), seed=1).trace
@@ -478,10 +478,10 @@ def mean_force(law: Wave | WaveScaled, p: float, dice: np.random.Generator) -> f
     kept = dice.random((2, count)) >= p
     (m, back), (s, forth) = rigid.master_start(at(age=1e-3, v=0.0)), rigid.slave_start(at(age=1e-3, v=0.0))
     for k in range(count):
-        f, sent, m = rigid.master(m, at(age=1e-3, v=v, fresh=bool(kept[0, k])), back)  # type: ignore[arg-type]
-        _, returned, s = rigid.slave(s, at(age=1e-3, v=0.0, fresh=bool(kept[1, k])), forth)  # type: ignore[arg-type]
-        back = returned if k + 1 < count and kept[0, k + 1] else back  # type: ignore[assignment]
-        forth = sent if k + 1 < count and kept[1, k + 1] else forth  # type: ignore[assignment]
+        f, sent, m = rigid.master(m, at(age=1e-3, v=v, fresh=bool(kept[0, k])), back)
+        _, returned, s = rigid.slave(s, at(age=1e-3, v=0.0, fresh=bool(kept[1, k])), forth)
+        back = returned if k + 1 < count and kept[0, k + 1] else back
+        forth = sent if k + 1 < count and kept[1, k + 1] else forth
         total += f * (k >= count // 2)
     return 2.0 * total / count
 

@@ -83,7 +83,7 @@ class Both:
 
     def run(self) -> Both:
         of = self.scene
-        relay = Relay(of.link, SEED, of.wire_size)  # type: ignore[arg-type]
+        relay = Relay(of.link, SEED, of.wire_size)
         devices: dict[str, Any] = {"m": SimulatedMaster(of), "s": SimulatedSlave(of)}
         skips = {e: part.left_out(i, of.ticks, SEED)
                  for i, e in enumerate("ms") if (part := getattr(of, f"left_out_{e}")) is not None}

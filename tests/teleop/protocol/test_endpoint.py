@@ -90,7 +90,7 @@ SCENES = [
                                                    duration=0.2)),
     usual("a rotation", lambda: tumbling(law=WavePosition(b=0.02, K=1.0, B=0.02, K_p=0.2, B_p=0.005),
                                          link=parse_link(ROUGH), duration=0.3)),
-    *[(usual if law == "wave" else full)(f"{law} in unlike axes", lambda laws=laws: unlike(laws))  # type: ignore[misc]
+    *[(usual if law == "wave" else full)(f"{law} in unlike axes", lambda laws=laws: unlike(laws))
       for law, laws in LAWS.items()],
     full("sixteen axes", lambda: replace(unlike(), **{
         "axes": 16, "names": (), "units": (), "start_m": (0.01,) * 16, "start_s": 0.0, "environment": None,
@@ -151,10 +151,10 @@ def test_a_stepped_end_plays_what_the_schedule_says() -> None:
         assert box.has(k - 1)
         got = box.take(k)
         assert (-1 if got is None else got[0]) == plan.play[k]
-        assert got is None or got[1] == f"packet {got[0]}"  # type: ignore[comparison-overlap]
+        assert got is None or got[1] == f"packet {got[0]}"
         assert not box.has(k)
         for packet in (k, k, max(0, k - 40), 0):  # copies, old and new, are no harm
-            box.add(packet, 0, f"packet {packet}")  # type: ignore[arg-type]
+            box.add(packet, 0, f"packet {packet}")
     assert len(box._held) <= plan.lag + 3
 
 
@@ -280,7 +280,7 @@ def test_messages_of_ints_and_float32_are_no_malformed_packets_to_the_peer() -> 
     two = np.float32(2)
     start = lambda _self, _at: ((), Motion(0, 0))  # noqa: E731
     whole = law_of(master_start=start, slave_start=start, master=lambda _self, s, _at, _rx: (0, Motion(1, 1), s),
-                   slave=lambda _self, s, _at, rx: (np.float32(rx.x), Motion(two, two), s))  # type: ignore[arg-type]
+                   slave=lambda _self, s, _at, rx: (np.float32(rx.x), Motion(two, two), s))
     both = Both(scene(whole(), link=parse_link("delay(0)"), energy=False, duration=0.1)).run()
     for e in "ms":
         assert not both.ends[e].rejected
@@ -305,7 +305,7 @@ def test_no_end_receives_more_energy_than_the_packet_it_plays_says_was_sent_but_
 
 
 def test_delays_round_trips_and_sizes_are_seen_as_they_are() -> None:
-    ways = Link(fwd=parse_link("delay(0.03)"), bwd=parse_link("delay(0.0105)"))  # type: ignore[arg-type]
+    ways = Link(fwd=parse_link("delay(0.03)"), bwd=parse_link("delay(0.0105)"))
     both = Both(scene(link=ways, packet_size=222)).run()
     forth, back, rtt = both.ends["s"].link.way, both.ends["m"].link.way, both.ends["m"].link.rtt
     assert (forth.least, forth.most) == (30 * MS, 30 * MS)

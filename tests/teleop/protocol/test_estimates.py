@@ -90,7 +90,7 @@ def test_the_drift_is_found_and_the_shift_follows_it(ppm: float, offset: int) ->
     assert back.drift == pytest.approx(ppm * 1e-6, abs=1e-7), "whatever the ways, as long as they stay"
     for seed in range(2):
         dice = Random(seed)
-        rough = watched(Clock(5, ppm), 100.0, lambda _i, dice=dice: (  # type: ignore[misc]
+        rough = watched(Clock(5, ppm), 100.0, lambda _i, dice=dice: (
             dice.randrange(10, 30) * MS, dice.randrange(10 * MS, 30 * MS)))
         assert rough.drift == pytest.approx(ppm * 1e-6, abs=10e-6), "and through jitter"
         assert abs(rough.shift_ns - 99 * ppm * 1e3) < 3 * MS

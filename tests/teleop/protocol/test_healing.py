@@ -121,7 +121,7 @@ def test_whatever_happens_in_whatever_order_they_go_on(
     happens: list[Any], seed: int, rough: bool, playout: Any
 ) -> None:
     link = {"jitter": 30 * MS, "loss": 0.1, "copies": 0.1} if rough else {}
-    world = World(healing(dt=0.02, playout=playout), seed=seed, **link).run(1.5)  # type: ignore[arg-type]
+    world = World(healing(dt=0.02, playout=playout), seed=seed, **link).run(1.5)
     for what, who, away, then in happens:
         {"restart": world.restart, "pause": world.stand_still, "cut": world.cut_off}[what](who, away)
         world.run(then)

@@ -242,7 +242,7 @@ def test_a_slave_that_has_met_nobody_believes_nobody_and_no_clock_that_nobody_ha
     slave = Session(master=False, manifest=MANIFEST)
     for number in (0, 1, 2**64 - 1):
         for kind, payload in ((Kind.START, 5), (Kind.BYE, "go"), (Kind.REFUSE, "no"), (Kind.WELCOME, MANIFEST)):
-            assert slave.receive(Packet(kind, number, 0, 0, None, payload), 0) == []  # type: ignore[arg-type]
+            assert slave.receive(Packet(kind, number, 0, 0, None, payload), 0) == []
     assert slave.bye("nobody to tell", 0) == []
     slave.receive(hello(1), 10)
     for tick_0 in (2**61 + 1, -(2**61) - 1, 2**63 - 1, -(2**63)):

@@ -85,7 +85,7 @@ class TestOfALinkThatIsReplaced:
         assert load_scene(path, delay=0.2, link="delay(0.1)").playout == Fixed(0.4)
         assert load_scene(path, other=0.2, link="delay(0.1)").link == DELAY
         # Nothing about a knob is found out by making the scene with other numbers.
-        assert scene_function(path).__globals__["made"] == [0.2, 0.1]  # type: ignore[attr-defined]
+        assert scene_function(path).__globals__["made"] == [0.2, 0.1]
 
     def test_replaces_the_scenes_own_and_stands_in_its_knobs_as_text(self) -> None:
         for link in ("delay(0.2)", Delay(0.2)):
@@ -136,11 +136,11 @@ class TestDeclared:
         assert missing == []
 
 
-def bare(law=WAVE, k=1000, m=0.5, energy=True, title="a", up=Path("x"), at=(0.1,), play=ZERO,  # type: ignore[no-untyped-def]
+def bare(law=WAVE, k=1000, m=0.5, energy=True, title="a", up=Path("x"), at=(0.1,), play=ZERO,
          left_out=None, velocity=LOW_PASS, other=DELAY, *, given) -> None: ...
 
 
-def ruled(law) -> None: ...  # type: ignore[no-untyped-def]
+def ruled(law) -> None: ...
 
 
 class TestWithoutAnnotation:
@@ -295,7 +295,7 @@ class TestOnTheCommandLine:
     def test_is_the_law_that_a_script_would_give(self) -> None:
         own: dict[str, object] = {}
         exec(compile(MINE, "own", "exec", dont_inherit=True), own)
-        mine = own["PositionPosition"](K=150.0)  # type: ignore[operator]
+        mine = own["PositionPosition"](K=150.0)
         expected = run(load_scene("hard_wall", law=mine, duration=0.2)).trace["x_s"].tobytes()
         for law in ("law_mine.py", "law_mine.py:PositionPosition", "./law_mine.py", "two.py:Softer"):
             scene = load_scene("hard_wall", law=law, duration=0.2, **{"law.K": "150"})

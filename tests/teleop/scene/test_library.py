@@ -57,7 +57,7 @@ class TestAtAPath:
 class TestOfPlugIns:
     def test_scenes_are_known_without_being_imported_and_loaded_by_name(self, monkeypatch: pytest.MonkeyPatch) -> None:
         module = types.ModuleType("plugged_in")
-        module.scene = load_scene  # type: ignore[attr-defined]
+        module.scene = load_scene
         entry = importlib.metadata.EntryPoint("theirs", "plugged_in", "teleop.scenes")
         monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: [entry])
         assert "theirs" in known_scenes()

@@ -283,7 +283,7 @@ class TestStatus:
         slow = Grip(mass=0.0, k=100.0, d=1.5, reference=Rest(at=0.0))  # 1 kg at 1.6 Hz, by e in 1.3 s
         for duration in (0.65, 1.3, 2.0):
             assert run(oscillator(0.0, hand=slow, start_m=0.05, duration=duration)).status == "ok", duration
-        assert prepare(oscillator(0.0, hand=slow)).still.periods == 943  # type: ignore[union-attr]
+        assert prepare(oscillator(0.0, hand=slow)).still.periods == 943
 
     def test_a_force_that_is_renewed_slowly_is_late_too(self) -> None:
         device = Device(every=11, delay=3)

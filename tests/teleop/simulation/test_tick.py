@@ -280,7 +280,7 @@ def test_a_one_port_scene_leaves_out_ticks_too() -> None:
     assert "seq_m" not in result.trace
     assert result.packets == {}
     pressing = np.flatnonzero(result.trace["f_m"] > 0.0)
-    late = np.flatnonzero(scene.left_out_m.left_out(0, scene.ticks, 2))  # type: ignore[union-attr]
+    late = np.flatnonzero(scene.left_out_m.left_out(0, scene.ticks, 2))
     assert np.isin(late, pressing).mean() > 0.1
     assert np.isin(np.intersect1d(late, pressing), held(result.trace, "f_m")).all()
 

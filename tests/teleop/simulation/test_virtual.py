@@ -42,7 +42,7 @@ def same(one: Any, other: Any) -> bool:
 
 def test_the_name_of_a_scene_in_place_of_a_scene_is_answered_with_how_to_load_it() -> None:
     with pytest.raises(Refused, match=r"give run a Scene, not 'canonical'; .* run\(load_scene\('canonical'\)\)"):
-        run("canonical")  # type: ignore[arg-type]
+        run("canonical")
 
 
 # A scene worked out once
@@ -54,7 +54,7 @@ def test_every_part_is_made_once_and_a_run_builds_the_slave_once(monkeypatch: py
 
     def counted(*given: object) -> object:
         built.append(given)
-        return build(*given)  # type: ignore[arg-type]
+        return build(*given)
 
     monkeypatch.setattr(teleop.simulation.bodies, "_slave", counted)
     prepared = prepare(load_scene("canonical", duration=0.2))
@@ -276,7 +276,7 @@ def test_without_a_link_one_message_is_always_under_way() -> None:
 class TestParameters:
     def test_keep_numbers_texts_and_truths_and_write_the_rest_out(self) -> None:
         told = parameters(load_scene("jittery_wan", law="pfra"))
-        assert told["law"]["name"] == "pfra"  # type: ignore[index]
+        assert told["law"]["name"] == "pfra"
         assert re.fullmatch(r"Fixed\(delay=0.065, gaps=Integral\(.*\)\)", str(told["playout"]))
         assert told["energy"] is True
 

@@ -84,7 +84,7 @@ def test_a_hand_that_pulls_back_takes_over_by_force_and_none_before(law: str, de
 
 def test_it_is_the_policys_again_once_its_switch_was_off() -> None:
     base = load_scene("handover", grip=1.6, takes=(1.0, 2.5, 3.0, 4.4), duration=4.5)
-    had = run(replace(base, handover=replace(base.handover, leap=3.0))).trace["policy_m"]  # type: ignore[type-var]
+    had = run(replace(base, handover=replace(base.handover, leap=3.0))).trace["policy_m"]
     assert {*had[2400:2500]} == {Standing.GRIPPED}
     assert {*had[2500:3000]} == {Standing.OPERATOR}
     assert {*had[3001:3050]} == {Standing.POLICY}
@@ -172,12 +172,12 @@ def test_the_policys_work_is_paid_for_and_the_laws_ledger_holds_whatever_policy_
     for seed in [*seeds, *[-1 - seed for seed in seeds]]:
         scene = adversary(abs(seed))
         if seed < 0:
-            scene = replace(scene, handover=replace(scene.handover, motor=False))  # type: ignore[type-var]
+            scene = replace(scene, handover=replace(scene.handover, motor=False))
         margin, ledger, work = margins(scene)
         assert margin >= -1e-12, seed
         # Where the policy moves the law's end, ticks left out cost up to 2 mJ: see the stage's head.
         assert ledger >= (-1e-9 if seed >= 0 else -5e-3), seed
-        worked += work > 0.5 * scene.handover.energy  # type: ignore[union-attr]
+        worked += work > 0.5 * scene.handover.energy
     assert worked >= 3  # they do press the tank
 
 
@@ -313,7 +313,7 @@ def test_three_axes_have_one_authority_and_one_tank() -> None:
 @pytest.mark.parametrize("law", ["pp", "wave"])
 def test_without_a_motor_the_policy_moves_the_laws_end_and_leaves_an_offset(law: str) -> None:
     base = load_scene("handover", law=law)
-    scene = replace(base, handover=replace(base.handover, motor=False))  # type: ignore[type-var]
+    scene = replace(base, handover=replace(base.handover, motor=False))
     result = run(scene)
     trace = result.trace
     t, away = trace["t"], trace["offset_policy_m"]

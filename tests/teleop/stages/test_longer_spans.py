@@ -167,7 +167,7 @@ def test_the_observed_energy_of_the_port_is_the_work_that_was_done() -> None:
     trace = run(scene, seed=4).trace
     motion = np.diff(trace["x_m"], prepend=0.0)
     done = np.cumsum(np.concatenate([[0.0], trace["f_m"][:-1]]) * motion)  # tick by tick, at full rate
-    runs = ~scene.left_out_m.left_out(0, scene.ticks, 4)  # type: ignore[union-attr]
+    runs = ~scene.left_out_m.left_out(0, scene.ticks, 4)
     for ledger in ("E_po", "E_port"):
         assert np.abs(trace[ledger] - done)[runs].max() < 1e-12
     assert done.max() > 1e-3
@@ -179,7 +179,7 @@ def test_the_budget_bounds_the_work_over_the_time_that_passes(share: float) -> N
     scene = late(tissue(cap=Cap(power=0.02)), share)
     trace = run(scene, seed=3).trace
     work = np.concatenate([[0.0], trace["f_s"][:-1]]) * np.diff(trace["x_s"], prepend=0.0)
-    runs = np.flatnonzero(~scene.left_out_s.left_out(1, scene.ticks, 3))  # type: ignore[union-attr]
+    runs = np.flatnonzero(~scene.left_out_s.left_out(1, scene.ticks, 3))
     held = np.add.reduceat(work, np.concatenate([[0], runs[:-1] + 1]))[: len(runs)]
     driven = np.cumsum(np.maximum(held, 0.0))
     time = (runs + 1) * scene.dt

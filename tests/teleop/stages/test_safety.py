@@ -158,11 +158,11 @@ speeds = st.one_of(st.floats(-2.0, 2.0), st.just(0.0))
 
 
 def speed_of(v_max: float, f_max: float = 1e9) -> SpeedLimits:
-    return Cap(f_max=f_max, v_max=v_max).speed()  # type: ignore[return-value]
+    return Cap(f_max=f_max, v_max=v_max).speed()
 
 
 def budget_of(power: float, dt: float = DT) -> BudgetLimits:
-    return Cap(f_max=1e9, power=power).budget(dt)  # type: ignore[return-value]
+    return Cap(f_max=1e9, power=power).budget(dt)
 
 
 def drives(f: float, along: float) -> bool:

@@ -21,7 +21,7 @@ def scene(**parts: object) -> Scene:
         "law": Direct(K=400.0, B=15.0, kf=0.5), "master": MassDamper(mass=0.1, damping=2.0),
         "slave": MassDamper(mass=0.3, damping=5.0), "environment": Tissue(k=2000.0, d=20.0), "scaling": SMALL,
         "hand": Grip(mass=0.3, k=300.0, d=20.0, reference=Reach(to=0.05, duration=0.5)),
-        "duration": 5.0, **parts})  # type: ignore[arg-type]
+        "duration": 5.0, **parts})
 
 
 def test_stiff_contact_comes_to_rest_where_the_springs_balance() -> None:

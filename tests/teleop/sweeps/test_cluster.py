@@ -57,7 +57,7 @@ class Rig:
     """A scheduler and the workers that are started for it, each a process."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.processes = folder, []  # type: ignore[var-annotated]  # of Popen
+        self.folder, self.processes = folder, []  # of Popen
         told = folder / "scheduler.json"
         self.scheduler = self.start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(told))
         until(lambda: told.is_file() and told.read_text().endswith("}"))

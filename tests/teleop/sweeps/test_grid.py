@@ -122,7 +122,7 @@ class TestSeeds:
     def test_are_counted_from_zero_like_a_single_run(self) -> None:
         assert grid({}).seeds == range(1)
         assert grid({}, 30).seeds == range(30)
-        assert grid({}, np.int64(2)).seeds == range(2)  # type: ignore[arg-type]  # as numpy's
+        assert grid({}, np.int64(2)).seeds == range(2)  # as numpy's
         assert grid({}, range(10, 0, -5)).point(1) == ({}, 5)
 
     @given(st.integers(0, 2**63), st.integers(1, 1000), st.integers(1, 5))

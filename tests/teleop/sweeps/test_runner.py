@@ -247,7 +247,7 @@ class TestAWrongRequest:
                                    ({"delay": [0.1]}, {"fixed": {"delay": 0.2}}, "leave one of them out"),
                                    ({}, {"seeds": 0}, "seed")):
             with pytest.raises(Refused, match=words):
-                plan_sweep("soft_tissue", axes, **other)  # type: ignore[arg-type]  # of other kinds
+                plan_sweep("soft_tissue", axes, **other)  # of other kinds
 
     def test_without_a_compiler_an_engine_says_what_to_install(self, monkeypatch: pytest.MonkeyPatch) -> None:
         grid = {"delay": [0.1 * i for i in range(100)]}

@@ -214,7 +214,7 @@ class TestAnInterruptOrAFullDisk:
             store.append([row(0)])
             before, own = (tmp_path / "s" / "rows.jsonl").read_bytes(), store._file
             for takes, trouble in product((0, 1, 10, 97, 150), (full, KeyboardInterrupt())):
-                store._file = self.Short(own, takes, trouble)  # type: ignore[assignment]
+                store._file = self.Short(own, takes, trouble)
                 with pytest.raises((Refused, KeyboardInterrupt)) as caught:
                     store.append([row(1), row(2)])
                 if trouble is full:
@@ -246,7 +246,7 @@ class TestAnInterruptOrAFullDisk:
 
     def test_writes_that_the_system_takes_in_pieces_are_finished(self, tmp_path: Path) -> None:
         with Store.open(tmp_path / "s", WHAT) as store:
-            store._file = self.Short(store._file, 10_000, AssertionError())  # type: ignore[assignment]
+            store._file = self.Short(store._file, 10_000, AssertionError())
             store.append([row(1), row(2)])
             assert list(store.rows()) == [row(1), row(2)]
 

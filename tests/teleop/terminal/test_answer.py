@@ -135,7 +135,7 @@ class TestCommand:
         assert (answer.text, answer.code, [*Path().iterdir()]) == ("found", 0, [])
         for code, names in ((130, set()), (0, {"numbers", "summary.json"})):
             Path("mine").mkdir(exist_ok=True)
-            answer = command_of(lambda _, code=code: self.task(Path("mine"), code), "test")(  # type: ignore[misc]
+            answer = command_of(lambda _, code=code: self.task(Path("mine"), code), "test")(
                 Namespace(out="mine"))
             assert (answer.code, {path.name for path in Path("mine").iterdir()}) == (code, names)
         assert typed_range("--range", "-1:2e3", example="1:2") == (-1.0, 2000.0)

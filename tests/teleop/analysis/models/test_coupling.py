@@ -172,9 +172,9 @@ class TestLack:
                                                (1.0, 1.0, 0.0, 0.0)):
             bare = VirtualCoupling(K=1.0, mass=0.0 if theta_f else 1e-300, k_e=k, theta_f=theta_f, theta_x=theta_x)
             heavy = VirtualCoupling(K=1.0, mass=m, k_e=0.0, theta_f=theta_f, theta_x=theta_x)
-            assert lack(lambda z, tool=bare: tool_impedance(tool, z, T), T).alpha == pytest.approx(  # type: ignore[misc]
+            assert lack(lambda z, tool=bare: tool_impedance(tool, z, T), T).alpha == pytest.approx(
                 spring * k * T, abs=1e-7)
-            found = lack(lambda z, tool=heavy: tool_impedance(tool, z, T), T)  # type: ignore[misc]
+            found = lack(lambda z, tool=heavy: tool_impedance(tool, z, T), T)
             assert found.alpha == pytest.approx(mass * m / T, abs=1e-4)
             assert (theta_f, theta_x) != (0.0, 1.0) or found.frequency == pytest.approx(500.0, rel=1e-3)
 

@@ -39,9 +39,9 @@ class TestOneAxisOfSeveral:
     def test_of_a_one_port(self) -> None:
         """Of two axes the second is the wall that the scene of one axis has by itself, the first another."""
         one = load_scene("virtual_wall")
-        soft, hard = replace(one.law, K=500.0), replace(one.law, K=800.0)  # type: ignore[type-var]
+        soft, hard = replace(one.law, K=500.0), replace(one.law, K=800.0)
         two = replace(one, axes=2, law=(soft, hard))
-        assert [ask(along(two, name)).one.stiffness for name in "xy"] == pytest.approx([500.0, 800.0])  # type: ignore[union-attr]
+        assert [ask(along(two, name)).one.stiffness for name in "xy"] == pytest.approx([500.0, 800.0])
 
 
 class TestOnePort:

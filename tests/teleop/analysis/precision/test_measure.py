@@ -264,7 +264,7 @@ class TestTheBudget:
     def test_what_is_no_number_of_rounds_is_refused_before_anything_is_run(self) -> None:
         for rounds in (True, 1.5, "2"):
             with pytest.raises(Refused, match=r"rounds must be a whole number of at least 1, .*; write --rounds 3"):
-                measure(strike(), clock=lambda: 0, rounds=rounds)  # type: ignore[arg-type]
+                measure(strike(), clock=lambda: 0, rounds=rounds)
 
 
 class TestTheFigure:

@@ -113,10 +113,10 @@ class TestAStranger:
 
     def test_whose_hello_is_damaged_or_proved_by_another_costs_nothing(self, gate: Gate, master: Master) -> None:
         hello = with_cookie(gate, master())
-        said, proof = records(hello)  # type: ignore[misc]
+        said, proof = records(hello)
         cut = said.data[:-20]
         cut = cut[:11] + (len(cut) - 13).to_bytes(2, "big") + cut[13:]
-        theirs = records(with_cookie(gate, master()))[1]  # type: ignore[index]
+        theirs = records(with_cookie(gate, master()))[1]
         for i, data in enumerate((cut + proof.data, said.data, (said.data + theirs.data).ljust(MTU, b"\0"))):
             assert gate.receive(data, AT, i * CHECKED_NS) == (None, [])
         assert gate._begun == {}
@@ -126,7 +126,7 @@ class TestAStranger:
         self, gate: Gate, master: Master
     ) -> None:
         hello = with_cookie(gate, master())
-        said, proof = records(hello)  # type: ignore[misc]
+        said, proof = records(hello)
         inside = [*range(25, 27), 59, 60, *range(93, len(said.data))]
         inside += range(len(said.data) + HEAD.size, len(said.data + proof.data))  # its head has nothing that counts
         for i, at in enumerate(inside):

@@ -32,9 +32,9 @@ def lying(lie: Lie | None, ticks: range) -> Both:
             if lie is None:
                 return []
             packet = packet_in(datagram, 4)
-            u, U, E, T = packet.payload  # type: ignore[misc]  # of a message of the law
-            told = lie(Integrals(T, U, E), k)  # type: ignore[arg-type]
-            datagram = encode(packet._replace(payload=(u, told.U, told.E, told.T)), len(datagram))  # type: ignore[arg-type]
+            u, U, E, T = packet.payload  # of a message of the law
+            told = lie(Integrals(T, U, E), k)
+            datagram = encode(packet._replace(payload=(u, told.U, told.E, told.T)), len(datagram))
         return [(10, datagram)]
 
     return handed_on(change, INTEGRAL)
@@ -151,7 +151,7 @@ def test_every_honest_message_adds_up_in_whatever_order_and_number(
     waves: list[tuple[float, int, int]], every: int, dt: float, dice: object, near: int
 ) -> None:
     said = [each for each in sent(waves, every, dt) for _ in range(2)]
-    order = sorted(range(len(said)), key=lambda i: i + near * dice.random())  # type: ignore[attr-defined]
+    order = sorted(range(len(said)), key=lambda i: i + near * dice.random())
     sums = IntegralCheck(dt, 1)
     assert all(sums.add_up(said[i][0], (said[i][1],), every) for i in order)
 

@@ -264,7 +264,7 @@ def evolved(value: object, generations: int, key: int = 0) -> Strategy:
     strategy = Strategy([0.2, 0.3, 0.9, 0.5], 0.15, (key, 0))
     for _ in range(generations):
         drawn = strategy.ask()
-        strategy.tell(drawn, [(value(fold(x)),) for x in drawn])  # type: ignore[operator]
+        strategy.tell(drawn, [(value(fold(x)),) for x in drawn])
     return strategy
 
 
