@@ -70,7 +70,8 @@ class Damiao:
             for each in self.ids:
                 timeout = struct.unpack("<I", self.registers[each, 9])[0] * 50e-6
                 if self.on[each] and timeout and now - self.heard[each] > timeout:
-                    self.on[each], self.errors[each] = False, 13
+                    self.on[each] = False
+                    self.errors.setdefault(each, 13)  # an error that is there stays
                 self._move(each, now - before)
             before = now
             if message is not None:
